@@ -1,0 +1,3 @@
+"""Reference experiments for precomputed radiance transfer."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,1 @@
+"""Run, results, tables, claims, charts, report. Names no method."""

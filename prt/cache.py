@@ -1,0 +1,91 @@
+"""A cache of files keyed by exactly the settings that determine their content.
+
+Written to a temporary name, checksummed, renamed: a reader never sees half a file and two processes may
+share one cache. A damaged file is detected by its checksum, named in a warning, and rebuilt.
+"""
+
+import hashlib
+import json
+import os
+import tempfile
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from safetensors.torch import load, save
+from torch import Tensor
+
+from prt.errors import PrtError
+from prt.paths import cache_folder
+
+Tensors = dict[str, Tensor]
+
+
+def settings_key(settings: dict[str, Any]) -> str:
+    """A short hash of plain settings, independent of the order of their keys."""
+    text = json.dumps(settings, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+
+def cached(kind: str, version: int, settings: dict[str, Any], build: Callable[[], Tensors]) -> Tensors:
+    """The tensors that ``build`` returns, from the cache where they are there and whole.
+
+    Args:
+        kind: a folder name such as ``transport``.
+        version: of the code that builds; raise it when the content changes for equal settings.
+        settings: plain JSON data, all that determines the content.
+        build: called on a miss.
+    """
+    folder = cache_folder() / kind
+    path = folder / f"{settings_key({'version': version, **settings})}.safetensors"
+    found = read_checked(path)
+    if found is not None:
+        return found
+    tensors = {name: value.contiguous() for name, value in build().items()}
+    write_checked(path, tensors)
+    return tensors
+
+
+def read_checked(path: Path) -> Tensors | None:
+    """The tensors of a cache file, or None where it is absent or damaged (a warning names the damaged file)."""
+    try:
+        blob = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    digest, body = blob[:32], blob[32:]
+    if hashlib.sha256(body).digest() != digest:
+        warnings.warn(f"cache file {path} is damaged and will be rebuilt", stacklevel=3)
+        return None
+    return load(body)
+
+
+def write_checked(path: Path, tensors: Tensors) -> None:
+    """Write ``tensors`` behind their SHA-256, atomically."""
+    body = save(tensors)
+    write_atomically(path, hashlib.sha256(body).digest() + body)
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Put ``content`` at ``path`` through a temporary file in the same folder.
+
+    Raises:
+        PrtError: if the folder cannot be made or written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name + ".", suffix=".tmp")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise PrtError(f"cannot write {path}: {error.strerror or error}; choose another folder (PRT_CACHE, run.folder) "
+                       "or free the disk") from error
+
+

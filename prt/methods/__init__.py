@@ -1,0 +1,1 @@
+"""One file per method, each readable beside its paper."""

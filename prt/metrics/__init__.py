@@ -1,0 +1,1 @@
+"""Quality, time, stability, and the statistics over them."""

@@ -1,0 +1,65 @@
+"""The G-buffer: what one ray per pixel sees, packed to the pixels that hit the scene."""
+
+import dataclasses
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from prt.scene.view import View
+
+
+@dataclasses.dataclass
+class GBuffer:
+    """Surface attributes of N visible pixels; directions are unit, world space, pointing away from the surface.
+
+    Attributes:
+        position: first hit, world units.
+        normal: shading normal, on the side of the viewer.
+        wo: towards the viewer.
+        wr: wo mirrored about the normal.
+        diffuse, specular: linear RGB reflectances k_d, k_s.
+        roughness: sigma in [0, 1], the square root of GGX alpha; 0 is a mirror, 1 also stands for diffuse.
+        uv: texture coordinates.
+        hit: which pixels of the image are the N (row-major); N = hit.sum().
+        view: the camera, None for points that belong to no image.
+    """
+
+    position: Float[Tensor, "N 3"]
+    normal: Float[Tensor, "N 3"]
+    wo: Float[Tensor, "N 3"]
+    wr: Float[Tensor, "N 3"]
+    diffuse: Float[Tensor, "N 3"]
+    specular: Float[Tensor, "N 3"]
+    roughness: Float[Tensor, "N 1"]
+    uv: Float[Tensor, "N 2"]
+    hit: Bool[Tensor, "P"]
+    view: View | None = None
+
+    FIELDS = ("position", "normal", "wo", "wr", "diffuse", "specular", "roughness", "uv")
+
+    def __len__(self) -> int:
+        return self.position.shape[0]
+
+    def rows(self, index: Tensor) -> "GBuffer":
+        """The G-buffer of some of its N points; it no longer belongs to an image."""
+        parts = {name: getattr(self, name)[index] for name in self.FIELDS}
+        return GBuffer(**parts, hit=torch.ones(len(parts["position"]), dtype=torch.bool), view=None)
+
+    def to(self, device: torch.device | str) -> "GBuffer":
+        parts = {name: getattr(self, name).to(device) for name in (*self.FIELDS, "hit")}
+        return GBuffer(**parts, view=self.view)
+
+    def image(self, values: Float[Tensor, "N C"]) -> Float[Tensor, "H W C"]:
+        """Put per-point values back into the image; pixels that hit nothing are zero."""
+        if self.view is None:
+            raise ValueError("this G-buffer belongs to no image")
+        out = values.new_zeros((self.hit.numel(), values.shape[1]))
+        out[self.hit.to(values.device)] = values
+        return out.reshape(self.view.height, self.view.width, values.shape[1])
+
+    @staticmethod
+    def concatenate(parts: list["GBuffer"]) -> "GBuffer":
+        """The points of several G-buffers one after the other."""
+        fields = {name: torch.cat([getattr(p, name) for p in parts]) for name in GBuffer.FIELDS}
+        return GBuffer(**fields, hit=torch.ones(len(fields["position"]), dtype=torch.bool), view=None)

@@ -1,0 +1,88 @@
+"""A scene: geometry, materials and camera trajectories; no light."""
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+from prt.errors import PrtError
+from prt.scene.mitsuba_setup import mitsuba
+from prt.scene.view import View
+
+Trajectory = Callable[[int], list[View]]
+SPLITS = ("train", "near", "far")
+
+
+class Scene:
+    """Base of all scenes; a subclass says how its Mitsuba description is made.
+
+    Args:
+        name: one word, used in folder names.
+        cameras: for ``train`` and ``far``, a list of trajectories (functions from a count to that many views);
+            ``near`` views are held-out views on the training trajectories.
+        max_depth: surface bounces that are traced.
+        record: ``bsdf`` where paths find their way out by themselves, ``nee`` where the recorder must add
+            next-event samples from the lighting prior (rooms lit through openings).
+    """
+
+    def __init__(
+        self,
+        name: str,
+        cameras: dict[str, list[Trajectory]],
+        max_depth: int = 6,
+        record: Literal["bsdf", "nee"] = "bsdf",
+    ):
+        if record not in ("bsdf", "nee"):
+            raise PrtError(f"scene.record={record!r} is not one of bsdf, nee")
+        if not isinstance(max_depth, int) or max_depth < 2:
+            raise PrtError(f"scene.max_depth={max_depth!r} must be an integer of at least 2 (indirect light has two bounces)")
+        self.name, self.cameras, self.max_depth, self.record = name, cameras, max_depth, record
+
+    def description(self) -> dict[str, Any]:
+        """The scene as a Mitsuba dict without emitters, sensors or integrator."""
+        raise NotImplementedError
+
+    def fingerprint(self) -> dict[str, Any]:
+        """Plain JSON data that determines geometry and materials."""
+        raise NotImplementedError
+
+    def load(self, emitter: dict[str, Any] | None = None):
+        """The ``mi.Scene`` with exactly this emitter, or with none."""
+        mi = mitsuba()
+        content = {"type": "scene", **self.description()}
+        if emitter is not None:
+            content["lighting"] = emitter
+        return mi.load_dict(content)
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Corners of the bounding box of the geometry, world units."""
+        if not hasattr(self, "_bounds"):
+            box = self.load().bbox()
+            self._bounds = tuple(box.min), tuple(box.max)
+        return self._bounds
+
+    def views(self, split: str, count: int, size: int) -> list[View]:
+        """``count`` square views of ``size`` pixels, spread evenly over the split's trajectories.
+
+        Training views take the even places of each training trajectory and ``near`` views odd ones in
+        between, so no near view was trained on.
+        """
+        if split not in SPLITS:
+            raise PrtError(f"unknown split {split!r}; choose from {', '.join(SPLITS)}")
+        trajectories = self.cameras["far" if split == "far" else "train"]
+        shares = [count // len(trajectories) + (i < count % len(trajectories)) for i in range(len(trajectories))]
+        views: list[View] = []
+        for trajectory, share in zip(trajectories, shares, strict=True):
+            if share == 0:
+                continue
+            if split == "far":
+                views += trajectory(share)
+            else:
+                views += trajectory(2 * share)[0 if split == "train" else 1 :: 2]
+        return [view.resized(size, size) for view in views]
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file, for fingerprints."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -1,0 +1,25 @@
+"""A camera pose with the size of its image."""
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """A pinhole camera in world space.
+
+    Attributes:
+        origin, target, up: three floats each, world units.
+        fov: horizontal field of view in degrees.
+        width, height: image size in pixels.
+    """
+
+    origin: tuple[float, float, float]
+    target: tuple[float, float, float]
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    fov: float = 45.0
+    width: int = 64
+    height: int = 64
+
+    def resized(self, width: int, height: int) -> "View":
+        """The same pose with another image size (the vertical field of view follows the aspect)."""
+        return dataclasses.replace(self, width=width, height=height)

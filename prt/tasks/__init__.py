@@ -1,0 +1,1 @@
+"""What varies, what is predicted, what it is tested on."""

@@ -1,0 +1,1 @@
+"""Everything that shoots rays: transport recording, references, denoising, procedural environments."""

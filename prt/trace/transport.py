@@ -1,0 +1,88 @@
+"""Recorded transport: for each pixel, where its light paths left the scene and how much they carry.
+
+Light transport is linear, so one path-traced pass serves every environment (docs/architecture.md). The
+samples of pixel p are the slice ``offsets[p]:offsets[p + 1]``; its radiance under a lighting L is the
+sum of ``weight * L[texel]`` over them.
+"""
+
+import dataclasses
+
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+
+
+@dataclasses.dataclass
+class Transport:
+    """Sparse rows of the transport matrix, pixels times cubemap texels, one matrix per colour.
+
+    Attributes:
+        resolution: R of the cubemap, 6 x R x R texels, flat index ``(face * R + row) * R + column``.
+        offsets: row starts.
+        texel: flat texel index of each sample.
+        weight: throughput over the number of samples per pixel (and over the pdf for next-event samples).
+        bounces: surface bounces of each sample: 0 the camera ray left, 1 direct, 2 or more indirect.
+    """
+
+    resolution: int
+    offsets: Int[Tensor, "P_plus_1"]
+    texel: Int[Tensor, "S"]
+    weight: Float[Tensor, "S 3"]
+    bounces: UInt8[Tensor, "S"]
+
+    @property
+    def pixels(self) -> int:
+        return self.offsets.numel() - 1
+
+    def pixel_of_sample(self) -> Int[Tensor, "S"]:
+        counts = self.offsets[1:] - self.offsets[:-1]
+        return torch.repeat_interleave(torch.arange(self.pixels), counts)
+
+    def component(self, name: str) -> "Transport":
+        """The samples of ``direct`` (one bounce), ``indirect`` (two or more), ``background`` (none) or ``full``."""
+        keep = {
+            "background": self.bounces == 0,
+            "direct": self.bounces == 1,
+            "indirect": self.bounces >= 2,
+            "full": self.bounces >= 1,
+        }[name]
+        counts = torch.bincount(self.pixel_of_sample()[keep], minlength=self.pixels)
+        offsets = torch.cat([torch.zeros(1, dtype=torch.int64), counts.cumsum(0)])
+        return Transport(self.resolution, offsets, self.texel[keep], self.weight[keep], self.bounces[keep])
+
+    def rows(self, pixels: Int[Tensor, "N"]) -> "Transport":
+        """The rows of some pixels, in the order given (a pixel may be asked for twice)."""
+        start, counts = self.offsets[pixels], self.offsets[pixels + 1] - self.offsets[pixels]
+        offsets = torch.cat([torch.zeros(1, dtype=torch.int64), counts.cumsum(0)])
+        index = torch.arange(int(offsets[-1])) + torch.repeat_interleave(start - offsets[:-1], counts)
+        return Transport(self.resolution, offsets, self.texel[index], self.weight[index], self.bounces[index])
+
+    def relight(self, lightings: Float[Tensor, "L T 3"]) -> Float[Tensor, "L P 3"]:
+        """Radiance of every pixel under L lightings given per texel."""
+        out = torch.empty((3, self.pixels, lightings.shape[0]))
+        for channel in range(3):
+            matrix = torch.sparse_csr_tensor(
+                self.offsets, self.texel.long(), self.weight[:, channel],
+                size=(self.pixels, lightings.shape[1]),
+            )
+            out[channel] = matrix @ lightings[:, :, channel].T.contiguous()
+        return out.permute(2, 1, 0).contiguous()
+
+    def dense(self) -> Float[Tensor, "P T 3"]:
+        """The rows as a dense matrix; for a few thousand pixels at most."""
+        texels = 6 * self.resolution**2
+        out = torch.zeros((self.pixels * texels, 3))
+        out.index_add_(0, self.pixel_of_sample() * texels + self.texel, self.weight)
+        return out.reshape(self.pixels, texels, 3)
+
+    @staticmethod
+    def concatenate(parts: list["Transport"]) -> "Transport":
+        """The rows of several records one after the other."""
+        ends, total = [torch.zeros(1, dtype=torch.int64)], 0
+        for part in parts:
+            ends.append(part.offsets[1:] + total)
+            total += int(part.offsets[-1])
+        return Transport(
+            parts[0].resolution, torch.cat(ends), torch.cat([p.texel for p in parts]),
+            torch.cat([p.weight for p in parts]), torch.cat([p.bounces for p in parts]),
+        )
