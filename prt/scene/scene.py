@@ -1,7 +1,7 @@
 """A scene: geometry, materials and camera trajectories; no light."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -9,7 +9,8 @@ from prt.errors import PrtError
 from prt.scene.mitsuba_setup import mitsuba
 from prt.scene.view import View
 
-Trajectory = Callable[[int], list[View]]
+#: from places in [0, 1) along the path to views
+Trajectory = Callable[[Sequence[float]], list[View]]
 SPLITS = ("train", "near", "far")
 
 
@@ -18,7 +19,7 @@ class Scene:
 
     Args:
         name: one word, used in folder names.
-        cameras: for ``train`` and ``far``, a list of trajectories (functions from a count to that many views);
+        cameras: for ``train`` and ``far``, a list of trajectories (functions from places in [0, 1) to views);
             ``near`` views are held-out views on the training trajectories.
         max_depth: surface bounces that are traced.
         record: ``bsdf`` where paths find their way out by themselves, ``nee`` where the recorder must add
@@ -62,25 +63,32 @@ class Scene:
             self._bounds = tuple(box.min), tuple(box.max)
         return self._bounds
 
-    def views(self, split: str, count: int, size: int) -> list[View]:
+    def views(self, split: str, count: int, size: int, train_count: int | None = None) -> list[View]:
         """``count`` square views of ``size`` pixels, spread evenly over the split's trajectories.
 
-        Training views take the even places of each training trajectory and ``near`` views odd ones in
-        between, so no near view was trained on.
+        ``near`` views lie on the training trajectories halfway between two neighbouring training views, for
+        a training set of ``train_count`` views, so none was trained on.
         """
         if split not in SPLITS:
             raise PrtError(f"unknown split {split!r}; choose from {', '.join(SPLITS)}")
         trajectories = self.cameras["far" if split == "far" else "train"]
-        shares = [count // len(trajectories) + (i < count % len(trajectories)) for i in range(len(trajectories))]
+        many = len(trajectories)
         views: list[View] = []
-        for trajectory, share in zip(trajectories, shares, strict=True):
-            if share == 0:
-                continue
-            if split == "far":
-                views += trajectory(share)
-            else:
-                views += trajectory(2 * share)[0 if split == "train" else 1 :: 2]
+        for i, trajectory in enumerate(trajectories):
+            share = share_of(count, i, many)
+            places = [(j + 0.5) / share for j in range(share)]
+            if split == "near":
+                if train_count is None:
+                    raise ValueError("near views are placed between training views: train_count is needed")
+                trained = share_of(train_count, i, many)
+                places = [(int(place * trained) + 1.0) / trained % 1.0 for place in places]
+            views += trajectory(places)
         return [view.resized(size, size) for view in views]
+
+
+def share_of(count: int, part: int, parts: int) -> int:
+    """How many of ``count`` things fall to part number ``part`` when spread evenly."""
+    return count // parts + (part < count % parts)
 
 
 def file_digest(path: Path) -> str:
