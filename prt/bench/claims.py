@@ -1,0 +1,130 @@
+"""Claims: statements of a paper as data, each tested on this project's own runs.
+
+One claim is one line::
+
+    wavelet_neural > neural_prt on psnr/indirect, far, every scene
+    wavelet_neural[denoised] > neural_prt[denoised] on psnr|ssim|lpips/full|indirect, far|near, every scene
+    wavelet_neural[denoised] > wavelet_neural by 0.5 on psnr/indirect, far, most scenes
+    wavelet_neural ~ neural_prt[denoised] within 0.02 on ssim/full, far, most scenes
+    wavelet_neural[near] ~ wavelet_neural[far] within 1.5 on psnr/full, every scene
+    wavelet_neural[denoised] - wavelet_neural > neural_prt[denoised] - neural_prt on psnr/full, far, every scene
+    wavelet_neural > 30 on psnr/indirect, far, scene cornell_glossy
+
+``>`` always means *better*, whichever way the metric runs; ``~ ... within`` means equal up to that much. A method
+may carry its variant and its split in brackets. ``|`` writes several claims in one line.
+"""
+
+import itertools
+import re
+from dataclasses import dataclass
+
+from prt.errors import PrtError
+
+GRAMMAR = (
+    "`<side> > <side> [by <margin>] on <metric>/<component>, <split>, every scene` "
+    "(`>` means better; or `<side> ~ <side> within <width> on ...`; a side is `method`, `method[denoised]`, "
+    "`method[near]`, `a - b` or a number; scopes: `every scene`, `most scenes`, `scene <names>`)"
+)
+_NUMBER = r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
+_TERM = re.compile(r"^([A-Za-z]\w*)(?:\[([^\]]*)\])?$")
+SPLITS = ("near", "far")
+
+
+@dataclass(frozen=True)
+class Term:
+    """A method's figures, or a fixed number where ``method`` is empty."""
+
+    method: str = ""
+    variant: str = ""
+    split: str = ""
+    number: float = 0.0
+
+
+@dataclass(frozen=True)
+class Claim:
+    """``better[0] - better[1] ...`` against ``than``, on one metric, component and split, over a scope of scenes."""
+
+    statement: str
+    better: tuple[Term, ...]
+    than: tuple[Term, ...]
+    metric: str
+    component: str
+    split: str
+    scope: str  #: ``every``, ``most`` or ``named``
+    scenes: tuple[str, ...] = ()
+    margin: float = 0.0
+    within: float | None = None  #: the width of ``~``; None for ``>``
+
+
+def parse_claims(lines: list[str], known_metrics: set[str] | None = None) -> list[Claim]:
+    """Parse claim lines; one line with ``|`` gives several claims.
+
+    Raises:
+        PrtError: naming the line, what is wrong in it and the grammar.
+    """
+    return [_parse(text, known_metrics) for line in lines for text in _expand(line)]
+
+
+def _expand(line: str) -> list[str]:
+    """``psnr|ssim/full|indirect`` as every single statement."""
+    if not isinstance(line, str):
+        raise PrtError(f"claim {line!r}: a claim is one line of text; write {GRAMMAR}")
+    parts = re.split(r"([A-Za-z0-9_.]+(?:\|[A-Za-z0-9_.]+)+)", " ".join(line.split()))
+    return ["".join(choice) for choice in itertools.product(*(part.split("|") for part in parts))]
+
+
+def _parse(text: str, known_metrics: set[str] | None) -> Claim:
+    def wrong(what: str) -> PrtError:
+        return PrtError(f"claim {text!r}: {what}; write {GRAMMAR}")
+
+    sides, on, rest = text.partition(" on ")
+    if not on:
+        raise wrong("no ` on <metric>/<component>`")
+    match = re.match(rf"^(.+?) ([>~]) (.+?)(?: (by|within) ({_NUMBER}))?$", sides)
+    if not match:
+        raise wrong("no ` > ` or ` ~ ` between two sides")
+    left, sign, right, word, amount = match.groups()
+    if (word == "within") != (sign == "~"):
+        raise wrong("`~` needs `within <width>` and `>` takes only `by <margin>`")
+
+    what, *clauses = [clause.strip() for clause in rest.split(",")]
+    metric, slash, component = what.rpartition("/")
+    if not slash or component not in ("full", "direct", "indirect", ""):
+        raise wrong(f"{what!r} is not <metric>/<component> with component full, direct or indirect")
+    if known_metrics is not None and metric not in known_metrics:
+        raise wrong(f"unknown metric {metric!r}, allowed are {sorted(known_metrics)}")
+    split, scope, scenes = "", "", ()
+    for clause in clauses:
+        if clause in SPLITS and not split:
+            split = clause
+        elif clause in ("every scene", "most scenes") and not scope:
+            scope = clause.split()[0]
+        elif clause.startswith("scene ") and not scope:
+            scope, scenes = "named", tuple(clause.split()[1:])
+        else:
+            raise wrong(f"did not understand {clause!r}")
+    if not scope:
+        raise wrong("it does not say which scenes")
+
+    terms = [[_term(t, wrong) for t in side.split(" - ")] for side in (left, right)]
+    for term in itertools.chain(*terms):
+        if term.method and not (term.split or split):
+            raise wrong(f"it does not say whether {term.method} is judged on near or far views")
+    return Claim(
+        text, tuple(terms[0]), tuple(terms[1]), metric, component, split, scope, scenes,
+        margin=float(amount) if word == "by" else 0.0, within=float(amount) if word == "within" else None,
+    )  # fmt: skip
+
+
+def _term(text: str, wrong) -> Term:
+    if re.fullmatch(_NUMBER, text.strip()):
+        return Term(number=float(text))
+    match = _TERM.match(text.strip())
+    if not match:
+        raise wrong(f"{text!r} is neither a method nor a number")
+    tokens = [token.strip() for token in (match[2] or "").split(",") if token.strip()]
+    splits = [token for token in tokens if token in SPLITS]
+    if len(splits) > 1:
+        raise wrong(f"{text!r} names two splits")
+    variant = ",".join(token for token in tokens if token not in SPLITS)
+    return Term(match[1], variant, splits[0] if splits else "")

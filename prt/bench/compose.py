@@ -1,0 +1,294 @@
+"""From overrides to one strict, resolved configuration, and from configuration to objects.
+
+Every mistake becomes one line with the nearest right spelling.
+"""
+
+import contextlib
+import difflib
+import inspect
+import io
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException, InstantiationException
+from hydra.utils import get_class, instantiate
+from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf.errors import OmegaConfBaseException
+
+import prt
+from prt.errors import PrtError
+
+#: the groups whose settings are constructor arguments; only these take new keys with ``+``
+BUILT = ("task", "scene", "lighting", "method")
+GROUPS = (*BUILT, "budget")
+#: settings that decide how a run is carried out and stored, not what comes out of it
+RUN_ONLY = ("folder", "checkpoint_seconds", "metrics", "repetitions", "images")
+
+
+def conf_folder() -> Path:
+    """The folder of the Hydra groups: ``PRT_CONF``, or ``conf/`` beside the package."""
+    value = os.environ.get("PRT_CONF", "").strip()
+    folder = Path(value).expanduser() if value else Path(prt.__file__).resolve().parent.parent / "conf"
+    if not (folder / "config.yaml").is_file():
+        raise PrtError(f"no configuration in {folder}; set PRT_CONF to the folder that holds prt's config.yaml")
+    return folder.resolve()
+
+
+def conf_folders() -> list[Path]:
+    """All folders searched for YAML files: the project's, then the user's own (``--conf-dir``, ``PRT_CONF_DIRS``)."""
+    own = [Path(part).expanduser().resolve() for part in os.environ.get("PRT_CONF_DIRS", "").split(os.pathsep) if part]
+    for folder in own:
+        if not folder.is_dir():
+            raise PrtError(f"--conf-dir: {folder} is no folder; give the folder that holds method/, scene/, ...")
+    return [conf_folder(), *own]
+
+
+def choices(group: str) -> list[str]:
+    """The names of the YAML files of a group, over all conf folders."""
+    return sorted({path.stem for folder in conf_folders() for path in (folder / group).glob("*.yaml")})
+
+
+def searchpath_override() -> list[str]:
+    """The Hydra override that adds the user's own conf folders."""
+    own = conf_folders()[1:]
+    return [f"hydra.searchpath=[{','.join(f'file://{folder}' for folder in own)}]"] if own else []
+
+
+def by_budget(table: dict[str, Any], *, _root_: DictConfig) -> Any:
+    """Resolver ``${by_budget:{smoke:16,laptop:64,gpu:128,paper:128}}``: the entry of the root's ``budget.name``."""
+    name = _root_.budget.name
+    if name not in table:
+        raise PrtError(f"budget={name} is not set here; choose from {', '.join(table)} ({{}})")
+    return table[name]
+
+
+OmegaConf.register_new_resolver("by_budget", by_budget, replace=True)
+
+
+def compose(overrides: Sequence[str]) -> DictConfig:
+    """The resolved configuration of one run.
+
+    Adds ``choice``, the name chosen in every group. Composing twice gives the same result.
+
+    Raises:
+        PrtError: for a misspelt key, an unknown choice, a malformed override, an unknown budget.
+    """
+    overrides = list(overrides)
+    check_additions(overrides)
+    with reported(overrides):
+        cfg = raw_compose(overrides)
+        return finish(cfg)
+
+
+def raw_compose(overrides: Sequence[str]) -> DictConfig:
+    GlobalHydra.instance().clear()
+    with initialize_config_dir(str(conf_folder()), version_base="1.3", job_name="prt"):
+        return hydra_compose("config", [*searchpath_override(), *overrides], return_hydra_config=True)
+
+
+def finish(cfg: DictConfig, chosen: dict[str, Any] | None = None) -> DictConfig:
+    """Check, resolve and complete a composed configuration (with its ``hydra`` node, or with ``chosen`` given)."""
+    chosen = dict(chosen if chosen is not None else cfg.hydra.runtime.choices)
+    names = {group: str(chosen[group]).replace("/", "_") for group in GROUPS if chosen.get(group)}
+    missing = [key for key in (*GROUPS, "seed", "device", "run") if cfg.get(key) is None]
+    if missing:
+        raise PrtError(f"{missing[0]} is missing; do not delete it, choose one ({missing[0]}=...)")
+    cfg = OmegaConf.create({key: cfg._get_node(key) for key in cfg if key != "hydra"})
+    OmegaConf.resolve(cfg)
+    with open_dict(cfg):
+        cfg.choice = names
+        cfg.device = device_kind(cfg.device)
+    check_root(cfg)
+    OmegaConf.set_struct(cfg, True)
+    return cfg
+
+
+def device_kind(wanted: Any) -> str:
+    """``cpu`` or ``cuda`` for the setting ``device``."""
+    if wanted not in ("auto", "cpu", "cuda"):
+        raise PrtError(f"device={wanted!r} is not one of auto, cpu, cuda")
+    have = torch.cuda.is_available()
+    if wanted == "cuda" and not have:
+        raise PrtError("device=cuda: torch sees no CUDA device here; use device=auto or device=cpu (see `prt doctor`)")
+    return "cuda" if have and wanted == "auto" else str(wanted).replace("auto", "cpu")
+
+
+def check_root(cfg: DictConfig) -> None:
+    """The few settings the runner itself reads."""
+    integer = isinstance(cfg.seed, int) and not isinstance(cfg.seed, bool)
+    if not integer or cfg.seed < 0:
+        raise PrtError(f"seed={cfg.seed!r} must be an integer of at least 0")
+    seconds = cfg.run.checkpoint_seconds
+    if not isinstance(seconds, int | float) or seconds < 0:
+        raise PrtError(f"run.checkpoint_seconds={seconds!r} must be a number of seconds of at least 0")
+    if not isinstance(cfg.run.repetitions, int) or cfg.run.repetitions < 30:
+        raise PrtError(f"run.repetitions={cfg.run.repetitions!r} must be an integer of at least 30 (the timing protocol)")
+    for key in ("run.denoise", "run.images.save"):
+        value = OmegaConf.select(cfg, key)
+        if not isinstance(value, bool):
+            raise PrtError(f"{key}={value!r} must be true or false")
+
+
+def hashed_settings(cfg: DictConfig) -> dict[str, Any]:
+    """What determines a run's results, as plain data: everything but ``run.*`` bookkeeping and descriptions."""
+    plain = OmegaConf.to_container(cfg, resolve=True)
+    plain["run"] = {key: value for key, value in plain["run"].items() if key not in RUN_ONLY}
+    plain["budget"] = plain["budget"]["name"]
+    return plain
+
+
+def check_additions(overrides: Sequence[str]) -> None:
+    """``+key=value`` may only add constructor arguments: anywhere else it would be silently ignored."""
+    for text in overrides:
+        match = re.match(r"\+\+?([\w./@]+)=", text)
+        key = match.group(1) if match else None
+        if key is None or key.startswith("hydra") or key.split(".")[0] in BUILT:
+            continue
+        if text.startswith("++") and known_key(key):
+            continue
+        if any((folder / key).is_dir() for folder in conf_folders()):
+            continue
+        raise PrtError(f"+{key}: nothing reads this setting; new keys can only be added to {', '.join(BUILT)}")
+
+
+def known_key(key: str) -> bool:
+    return key in all_keys(raw_compose([]))
+
+
+@contextlib.contextmanager
+def reported(overrides: Sequence[str]):
+    """Turn the errors of Hydra and OmegaConf into a PrtError of one line."""
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException) as error:
+        raise translate(error, overrides) from error
+
+
+def translate(error: BaseException, overrides: Sequence[str]) -> PrtError:
+    """The one-line version of a Hydra or OmegaConf error, with near misses."""
+    own = find_own(error)
+    if own is not None:
+        return own
+    text = str(error)
+    if match := re.search(r"Could not override '([^']+)'", text):
+        key = match.group(1)
+        return PrtError(f"unknown setting {key!r}{near(key, keys_without(key, overrides))}")
+    if match := re.search(r"Could not (?:delete from config|find)[^']*'([^']+)'", text):
+        group, _, name = match.group(1).rpartition("/")
+        options = choices(group) or re.findall(r"^\t(\w+)$", text.split("Config search path")[0], re.M)
+        if name and options:
+            return PrtError(f"{group}={name} does not exist{near(name, options)}; choose from {', '.join(options)}")
+    if "Ambiguous value" in text:
+        return PrtError(f"{text.splitlines()[0]}: several values are a sweep, add -m; a list is key=[a,b]")
+    if match := re.search(r"Error parsing override '([^']+)'", text):
+        return PrtError(f"cannot read {match.group(1)!r}: an override is key=value, as in scene=cornell_glossy or seed=1")
+    if "PrtError raised while resolving" in text:
+        key = re.search(r"full_key: (\S+)", text)
+        message = text.split("interpolation: ", 1)[-1].splitlines()[0]
+        return PrtError(message.replace("{}", key.group(1) if key else "config"))
+    return PrtError(" ".join(text.split()))
+
+
+def find_own(error: BaseException | None) -> PrtError | None:
+    """A PrtError among the causes of an error."""
+    while error is not None:
+        if isinstance(error, PrtError):
+            return error
+        error = error.__cause__
+    return None
+
+
+def near(word: str, options: Sequence[str]) -> str:
+    """``; did you mean ...?``, or nothing."""
+    found = difflib.get_close_matches(word, options, n=2, cutoff=0.6)
+    if not found:  # the last part may be right and the prefix missing: `width` for `method.width`
+        found = [option for option in options if option.rpartition(".")[2] == word.rpartition(".")[2]][:2]
+    return f"; did you mean {' or '.join(found)}?" if found else ""
+
+
+def keys_without(key: str, overrides: Sequence[str]) -> list[str]:
+    """All settings of the configuration as it would be without the overrides that name ``key``."""
+    rest = [text for text in overrides if not re.match(rf"[+~]*{re.escape(key)}(=|$)", text)]
+    for attempt in (rest, [text for text in rest if text.partition("=")[0] in GROUPS], []):
+        try:
+            return all_keys(raw_compose(attempt))
+        except (HydraException, OmegaConfBaseException):
+            continue
+    return []
+
+
+def all_keys(cfg: DictConfig) -> list[str]:
+    """Dotted names of all settings but hydra's own."""
+    found: list[str] = []
+
+    def visit(node: Any, prefix: str) -> None:
+        for name, value in node.items() if isinstance(node, dict) else ():
+            found.append(prefix + str(name))
+            visit(value, prefix + str(name) + ".")
+
+    visit({k: v for k, v in OmegaConf.to_container(cfg, resolve=False).items() if k != "hydra"}, "")
+    return [key for key in found if not key.endswith("_target_")]
+
+
+def is_sweep(overrides: Sequence[str]) -> bool:
+    """Whether some override lists several values (``scene=a,b``)."""
+    with contextlib.suppress(HydraException):
+        return any(override.is_sweep_override() for override in OverridesParser.create().parse_overrides(list(overrides)))
+    return False
+
+
+def build(cfg: DictConfig, group: str, **objects: Any) -> Any:
+    """Instantiate the group's ``_target_`` with its settings, and with ``objects`` passed on untouched.
+
+    Raises:
+        PrtError: if the target cannot be imported or does not know a setting, naming it and what is allowed.
+    """
+    settings = cfg[group]
+    target = settings.get("_target_")
+    if not target:
+        raise PrtError(f"conf/{group}/{cfg.choice[group]}.yaml has no _target_; name the class to build there")
+    noise = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(noise):
+            # partial first: Hydra would copy the objects into a config node
+            make = instantiate(settings, _partial_=True, _convert_="all")
+    except InstantiationException as error:
+        raise find_own(error) or PrtError(
+            f"{group}._target_={target} cannot be built: {' '.join(str(error.__cause__ or error).split())}; "
+            "check the name, and that its package is installed or in the current folder"
+        ) from error
+    try:
+        inspect.signature(make.func).bind(**make.keywords, **objects)
+    except TypeError as error:
+        raise constructor_error(group, make.func, error) from error
+    return make(**objects)
+
+
+def constructor_error(group: str, func: Any, error: TypeError) -> PrtError:
+    """A setting the constructor does not know, or misses, in one line."""
+    takes = [name for name in inspect.signature(func).parameters if name not in ("scene", "lighting")]
+    match = re.search(r"unexpected keyword argument '(\w+)'", str(error))
+    if match:
+        hint = near(match.group(1), takes)
+        return PrtError(
+            f"{group}.{match.group(1)} is not a setting of {func.__name__}{hint}; it takes {', '.join(takes) or 'none'}"
+        )
+    return PrtError(f"{group}: {func.__name__}: {error}; it takes {', '.join(takes) or 'none'}")
+
+
+def target_class(group: str, name: str) -> type | None:
+    """The class a YAML of a group names, None where it cannot be imported here."""
+    for folder in reversed(conf_folders()):
+        path = folder / group / f"{name}.yaml"
+        if path.exists():
+            with contextlib.suppress(Exception):
+                return get_class(OmegaConf.to_container(OmegaConf.load(path))["_target_"])
+    return None

@@ -1,0 +1,247 @@
+"""Neural free-viewpoint relighting for glossy indirect illumination (Raghavan et al. 2023).
+
+Light is projected to Haar wavelets on a cubemap, the largest K coefficients are kept, and a network predicts
+the transport coefficient T_k of each at every pixel; radiance is their dot product (Eq. 3, Algorithm 1).
+The network is :class:`prt.nn.wavelet_transport.WaveletTransport`.
+
+Every choice of the paper is a setting. Three choices differ from the paper at the smaller budgets, because
+the transport is recorded here (docs/decisions/0002-recorded-transport-sets-the-scales.md): outputs are scaled
+by the recorded transport's root mean square per wavelet (``scale_outputs``), wavelets are selected and drawn
+by it (``selection``, ``draw``), and a step trains several lightings cut to the very wavelets it evaluates
+(``target``), which removes the truncation error from the training target.
+"""
+
+import dataclasses
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from jaxtyping import Float, Int
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from prt.errors import PrtError
+from prt.light import haar
+from prt.methods.base import Component, FitLog
+from prt.methods.training import (
+    Average,
+    PointSampler,
+    fit_loop,
+    image_loss,
+    radiance,
+    warm_up_then_cosine,
+)
+from prt.nn.hashgrid import HashGrid
+from prt.nn.wavelet_transport import WaveletTransport
+from prt.scene.gbuffer import GBuffer
+from prt.trace.statistics import wavelet_scale
+
+SELECTIONS = ("magnitude", "area", "transport")
+
+
+@dataclasses.dataclass
+class WaveletCode:
+    """A lighting as the K wavelets that are kept, with the first layer of the network folded for them."""
+
+    index: Int[Tensor, "K"]
+    value: Float[Tensor, "K 3"]
+    folded: Float[Tensor, "M KH"]
+    #: lighting coefficient times output scale, what multiplies the last hidden layer
+    weight: Float[Tensor, "K 3"]
+
+
+class WaveletNeural:
+    """The method; settings as in ``conf/method/wavelet_neural.yaml``.
+
+    Args:
+        wavelets: K, lighting coefficients kept when rendering.
+        selection: how K are chosen: by ``magnitude`` |L_k|, by ``area`` (Ng 2003), or by ``transport``
+            |L_k| sigma_k.
+        grid: levels, features, log2_table, base_resolution, level_scale of S (Mueller 2022).
+        width: neurons in each of the two hidden layers of f.
+        sh_degree: largest SH band of the reflected direction.
+        scale_outputs: predict T_k / sigma_k instead of T_k.
+        training: steps, pixels, wavelets, largest_share, draw, lightings, target, loss, mu, epsilon, rates
+            (grid, wavelet, mlp), average, strategies.
+        precision: arithmetic of ``shade``: ``float32`` or ``bfloat16`` (the latter for the hidden layers).
+        folded: shade through the folded form; the readable one (Algorithm 1 as printed) is the reference.
+        chunk: pixels shaded at a time; bounds memory and keeps activations in cache.
+    """
+
+    component = Component.INDIRECT
+    tasks = frozenset({"relight_indirect"})
+
+    def __init__(
+        self,
+        wavelets: int,
+        selection: Literal["magnitude", "area", "transport"],
+        grid: dict[str, Any],
+        width: int,
+        sh_degree: int,
+        scale_outputs: bool,
+        training: dict[str, Any],
+        precision: Literal["float32", "bfloat16"] = "float32",
+        folded: bool = True,
+        chunk: int = 256,
+    ):
+        if selection not in SELECTIONS:
+            raise PrtError(f"method.selection={selection!r} is not one of {', '.join(SELECTIONS)}")
+        if precision not in ("float32", "bfloat16"):
+            raise PrtError(f"method.precision={precision!r} is not one of float32, bfloat16")
+        if training["draw"] not in ("uniform", "transport"):
+            raise PrtError(f"method.training.draw={training['draw']!r} is not one of uniform, transport")
+        if training["target"] not in ("full", "truncated"):
+            raise PrtError(f"method.training.target={training['target']!r} is not one of full, truncated")
+        if wavelets < 1:
+            raise PrtError(f"method.wavelets={wavelets} must be at least 1")
+        self.wavelets, self.selection, self.grid_settings = wavelets, selection, dict(grid)
+        self.width, self.sh_degree, self.scale_outputs = width, sh_degree, scale_outputs
+        self.training, self.precision, self.folded, self.chunk = training, precision, folded, chunk
+        self.device = "cpu"
+
+    # ---- fitting
+
+    def build(self, bounds, resolution: int, sigma: Tensor, device: str) -> None:
+        """Make an untrained network for a scene's bounds and a cubemap resolution."""
+        grid = HashGrid(**self.grid_settings, bounds=bounds)
+        scale = sigma if self.scale_outputs else None
+        self.net = WaveletTransport(grid, 6 * resolution**2, self.width, self.sh_degree, scale).to(device)
+        self.sigma, self.resolution, self.device = sigma.to(device), resolution, device
+
+    def fit(self, task: Any, log: FitLog, seed: int, device: str) -> None:
+        """Optimise Eq. 8 on points of the training views under training lightings."""
+        data, settings = task.training(), self.training
+        torch.manual_seed(seed)
+        generator = torch.Generator().manual_seed(seed)
+        sigma = wavelet_scale(data.transport, settings["scale_rows"], torch.Generator().manual_seed(seed))
+        self.build(task.scene.bounds, task.resolution, sigma, device)
+        net, rates = self.net, settings["rates"]
+        optimiser = torch.optim.Adam(
+            [
+                {"params": net.grid.parameters(), "lr": rates["grid"]},
+                {"params": [net.wavelet], "lr": rates["wavelet"]},
+                {"params": [net.feature, *net.mlp.parameters()], "lr": rates["mlp"]},
+            ],
+            betas=(0.9, 0.99), eps=1e-15, fused=True,
+        )
+        points = PointSampler(settings["strategies"], data.importance, settings["pixels"])
+        lightings = task.train_lightings()
+        coefficients = haar.forward(lightings.view(-1, 6, self.resolution, self.resolution, 3)).flatten(1, 3)
+        surface = net.features(data.gbuffer)
+        positions = data.gbuffer.position.to(device)
+        # on the CPU the corners of a point cost more than the look-up; on a GPU they cost memory only
+        corners = net.grid.corners(positions) if device == "cpu" else None
+
+        def step() -> Tensor:
+            chosen = points.draw(generator)
+            which = torch.randint(len(lightings), (settings["lightings"],), generator=generator)
+            k = self.draw_wavelets(coefficients[which], generator)
+            kept = coefficients[which][:, k]
+            if settings["target"] == "truncated":
+                cut = torch.zeros_like(coefficients[which])
+                cut[:, k] = kept
+                seen = haar.inverse(cut.view(-1, 6, self.resolution, self.resolution, 3)).flatten(1, 3)
+            else:
+                seen = lightings[which]
+            target = radiance(data.transport, chosen, seen).to(device)
+            space = net.grid(positions[chosen]) if corners is None else net.grid.lookup(corners.rows(chosen))
+            predicted = net.coefficients(space, surface[chosen].to(device), k.to(device))
+            image = torch.einsum("pkc,lkc->lpc", predicted, kept.to(device))
+            return image_loss(image, target, settings["loss"], settings["mu"], settings["epsilon"])
+
+        average = Average(net, settings["average"]) if settings["average"] else None
+        fit_loop(log, "wavelet_neural", settings["steps"], generator, {"net": net}, step, optimiser,
+                 warm_up_then_cosine(), average)
+
+    def draw_wavelets(self, coefficients: Float[Tensor, "L T 3"], generator: torch.Generator) -> Int[Tensor, "K"]:
+        """The wavelets of a training step: a share of the largest of its lightings, the rest at random (section 5)."""
+        count, total = self.training["wavelets"], coefficients.shape[1]
+        largest = round(count * self.training["largest_share"])
+        strength = coefficients.square().sum(dim=2)
+        if self.selection == "transport":
+            strength = strength * self.sigma.cpu().square()
+        ranks = strength.argsort(dim=1, descending=True)[:, :largest]
+        mine = largest // len(coefficients) + 1
+        chosen = torch.unique(ranks[:, :mine])[: largest]
+        weights = self.sigma.cpu().clone() if self.training["draw"] == "transport" else torch.ones(total)
+        weights[chosen] = 0
+        rest = torch.multinomial(weights, count - len(chosen), generator=generator)
+        return torch.cat([chosen, rest])
+
+    # ---- rendering
+
+    @torch.no_grad()
+    def light(self, lighting: Float[Tensor, "6 R R 3"]) -> WaveletCode:
+        """Wavelet transform, selection of K, folding of the first layer (Algorithm 1, lines 2 and 3)."""
+        if lighting.shape[1] != self.resolution:
+            raise PrtError(f"the lighting has {lighting.shape[1]} texels a side, the model {self.resolution}; "
+                           f"set task.resolution={self.resolution}")
+        values = haar.forward(lighting.to(self.device)).reshape(-1, 3)
+        index = haar.top_k(values, min(self.wavelets, len(values)), self.selection, self.sigma)
+        kept = values[index]
+        folded = self.net.fold(index)
+        if self.precision == "bfloat16":
+            folded = folded.bfloat16()
+        return WaveletCode(index, kept, folded, kept * self.net.scale[index][:, None])
+
+    def truncated(self, lighting: Float[Tensor, "6 R R 3"]) -> Float[Tensor, "6 R R 3"]:
+        """The lighting that :meth:`light` keeps, for the error split."""
+        values = haar.forward(lighting.to(self.device)).reshape(-1, 3)
+        index = haar.top_k(values, min(self.wavelets, len(values)), self.selection, self.sigma)
+        cut = torch.zeros_like(values)
+        cut[index] = values[index]
+        return haar.inverse(cut.view(lighting.shape)).to(lighting.device)
+
+    @torch.no_grad()
+    def shade(self, gbuffer: GBuffer, code: WaveletCode, v: Tensor | None = None) -> Float[Tensor, "N 3"]:
+        """Indirect radiance (Algorithm 1, lines 4 to 9)."""
+        render = self.shade_folded if self.folded else self.shade_readable
+        parts = [torch.zeros((0, 3))]
+        gbuffer = gbuffer.to(self.device)
+        for start in range(0, len(gbuffer), self.chunk):
+            rows = slice(start, start + self.chunk)
+            parts.append(render(gbuffer.position[rows], self.net.features(gbuffer.rows(rows)), code).float().cpu())
+        return torch.cat(parts)
+
+    def shade_readable(self, position: Tensor, features: Tensor, code: WaveletCode) -> Float[Tensor, "N 3"]:
+        """B = sum_k L_k T_k with T_k evaluated as printed."""
+        coefficients = self.net.coefficients_readable(position, features, code.index)
+        return torch.einsum("nkc,kc->nc", coefficients, code.value)
+
+    def shade_folded(self, position: Tensor, features: Tensor, code: WaveletCode) -> Float[Tensor, "N 3"]:
+        """The same with the first layer folded per light and the last layer applied after the sum over k."""
+        net, last = self.net, self.net.mlp.layers[2]
+        space = net.grid(position)
+        if self.precision == "bfloat16":
+            hidden = self.hidden_bfloat16(space, features, code)
+        else:
+            hidden = net.hidden(space, features, code.folded)
+        hidden = hidden.view(len(position), len(code.index), -1)
+        summed = torch.matmul(code.weight.T.to(hidden.dtype), hidden).float()
+        return torch.einsum("nch,ch->nc", summed, last.weight) + last.bias * code.weight.sum(dim=0)
+
+    def hidden_bfloat16(self, space: Tensor, features: Tensor, code: WaveletCode) -> Tensor:
+        """:meth:`WaveletTransport.hidden` with its two matrix products in bfloat16."""
+        net, second = self.net, self.net.mlp.layers[1]
+        first = (space.bfloat16() @ code.folded).view(len(space), -1, net.width)
+        first = torch.relu_(first + net.per_pixel(features).bfloat16()[:, None, :])
+        weight, bias = second.weight.bfloat16(), second.bias.bfloat16()
+        return torch.relu_(torch.addmm(bias, first.view(-1, net.width), weight.T))
+
+    # ---- storage
+
+    def nbytes(self) -> int:
+        """Grid, W, U and f; sigma is needed for selection and is counted."""
+        return sum(value.numel() * value.element_size() for value in self.net.state_dict().values())
+
+    def save(self, path: Path) -> None:
+        state = {name: value.detach().cpu().contiguous() for name, value in self.net.state_dict().items()}
+        save_file({**state, "sigma": self.sigma.cpu().clone()}, path, metadata={"resolution": str(self.resolution)})
+
+    def load(self, path: Path, task: Any, device: str) -> None:
+        with safe_open(path, "pt") as file:
+            resolution = int(file.metadata()["resolution"])
+        state = load_file(path)
+        self.build(task.scene.bounds, resolution, state.pop("sigma"), device)
+        self.net.load_state_dict(state)

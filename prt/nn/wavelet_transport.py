@@ -1,0 +1,101 @@
+"""The network of Raghavan 2023: wavelet coefficients of light transport from a CP-factored feature field.
+
+    h_k(x) = sum_m S_m[x] W_m[k] U_m                                   (Eq. 7)
+    T_k(x, wo) = scale_k * f(h_k(x), wr, n, rho; Theta)                (Eq. 4)
+
+``scale_k`` is 1 in the paper; here it can be the root mean square of the recorded transport per wavelet, so
+that the network's target has unit variance for every wavelet.
+
+Two forms of the same arithmetic. :meth:`WaveletTransport.coefficients_readable` follows the equations.
+:meth:`WaveletTransport.hidden` folds the first layer: with V = U A_h (A_h the columns of the first layer
+that read h), the pre-activation of pixel p and wavelet k is S_p diag(W_k) V + g_p, where diag(W_k) V is
+computed once per light and g_p, the part of the inputs that knows no wavelet, once per pixel.
+"""
+
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from prt.nn.encodings import log_roughness, sh_encode
+from prt.nn.hashgrid import HashGrid
+from prt.nn.mlp import Mlp
+
+
+def surface_features(wr: Tensor, normal: Tensor, diffuse: Tensor, specular: Tensor, roughness: Tensor,
+                     degree: int) -> Float[Tensor, "N F"]:
+    """The inputs of f besides h_k: SH of wr, normal, k_d, k_s, log-mapped roughness (Raghavan 2023, section 5)."""
+    return torch.cat([sh_encode(wr, degree), normal, diffuse, specular, log_roughness(roughness)], dim=1)
+
+
+class WaveletTransport(nn.Module):
+    """T_k(x, wo) for every wavelet k of a cubemap.
+
+    Args:
+        grid: the spatial factors S_m; its output size is M.
+        wavelets: number of wavelets, 6 R R.
+        width: neurons of each of the two hidden layers.
+        degree: largest SH band of the reflected direction.
+        scale: per-wavelet output scale, (wavelets,) or None for 1.
+    """
+
+    scale: Tensor
+
+    def __init__(self, grid: HashGrid, wavelets: int, width: int, degree: int, scale: Tensor | None = None):
+        super().__init__()
+        self.grid, self.degree, self.width = grid, degree, width
+        terms = grid.out_features
+        self.wavelet = nn.Parameter(torch.randn(wavelets, terms))
+        self.feature = nn.Parameter(torch.eye(terms) + torch.randn(terms, terms) / terms**0.5 * 0.1)
+        inputs = terms + (degree + 1) ** 2 + 10
+        self.mlp = Mlp(inputs, width, 2, 3)
+        self.register_buffer("scale", torch.ones(wavelets) if scale is None else scale)
+
+    @property
+    def terms(self) -> int:
+        return self.grid.out_features
+
+    def features(self, gbuffer) -> Float[Tensor, "N F"]:
+        """:func:`surface_features` of a G-buffer."""
+        return surface_features(gbuffer.wr, gbuffer.normal, gbuffer.diffuse, gbuffer.specular, gbuffer.roughness,
+                                self.degree)
+
+    def coefficients_readable(
+        self, position: Float[Tensor, "N 3"], features: Float[Tensor, "N F"], k: Int[Tensor, "K"]
+    ) -> Float[Tensor, "N K 3"]:
+        """Eqs. 4 and 7 as printed."""
+        space = self.grid(position)
+        field = torch.einsum("nm,km,ml->nkl", space, self.wavelet[k], self.feature)
+        inputs = torch.cat([field, features[:, None, :].expand(-1, len(k), -1)], dim=2)
+        return self.mlp(inputs) * self.scale[k][None, :, None]
+
+    def fold(self, k: Int[Tensor, "K"]) -> Float[Tensor, "M KH"]:
+        """diag(W_k) V for the wavelets k, side by side: once per light."""
+        first = self.mlp.layers[0].weight[:, : self.terms]
+        folded = self.feature @ first.T
+        return torch.einsum("km,mh->mkh", self.wavelet[k], folded).reshape(self.terms, -1)
+
+    def per_pixel(self, features: Float[Tensor, "N F"]) -> Float[Tensor, "N H"]:
+        """g_p: the part of the first layer that knows no wavelet."""
+        layer = self.mlp.layers[0]
+        return features @ layer.weight[:, self.terms :].T + layer.bias
+
+    def hidden(
+        self, space: Float[Tensor, "N M"], features: Float[Tensor, "N F"], folded: Float[Tensor, "M KH"]
+    ) -> Float[Tensor, "NK H"]:
+        """Activations of the last hidden layer for every pixel and wavelet, from the folded first layer."""
+        pixels = space.shape[0]
+        first = (space @ folded).view(pixels, -1, self.width)
+        first = torch.relu_(first + self.per_pixel(features)[:, None, :])
+        second = self.mlp.layers[1]
+        return torch.relu(torch.addmm(second.bias, first.view(-1, self.width), second.weight.T))
+
+    def coefficients(
+        self, space: Float[Tensor, "N M"], features: Float[Tensor, "N F"], k: Int[Tensor, "K"]
+    ) -> Float[Tensor, "N K 3"]:
+        """The same as :meth:`coefficients_readable` through the folded form; used in training."""
+        hidden = self.hidden(space, features, self.fold(k))
+        last = self.mlp.layers[2]
+        out = torch.addmm(last.bias, hidden, last.weight.T).view(space.shape[0], len(k), 3)
+        return out * self.scale[k][None, :, None]

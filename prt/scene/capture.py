@@ -1,0 +1,199 @@
+"""The G-buffer of a view: one ray through each pixel centre, materials read where it lands."""
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from prt.errors import PrtError
+from prt.scene.gbuffer import GBuffer
+from prt.scene.materials import Material, evaluate
+from prt.scene.mitsuba_setup import mitsuba
+from prt.scene.view import View
+
+#: The camera's near plane in world units; the far plane never cuts.
+NEAR, FAR = 1e-3, 1e7
+#: Surfaces more transparent than this (masks) are looked through, so many layers deep.
+SEE_THROUGH, MAX_LAYERS = 0.5, 8
+
+
+def sensor_description(view: View, spp: int = 16, seed: int = 0) -> dict[str, Any]:
+    """The view as a Mitsuba sensor: pinhole, box filter, linear RGB in float32, independent sampler.
+
+    The G-buffer of :func:`capture` sees exactly the centres of this sensor's pixels.
+    """
+    mi = mitsuba()
+    return {
+        "type": "perspective",
+        "fov": view.fov,
+        "fov_axis": "x",
+        "near_clip": NEAR,
+        "far_clip": FAR,
+        "to_world": mi.ScalarTransform4f().look_at(origin=view.origin, target=view.target, up=view.up),
+        "sampler": {"type": "independent", "sample_count": spp, "seed": seed},
+        "film": {
+            "type": "hdrfilm",
+            "width": view.width,
+            "height": view.height,
+            "pixel_format": "rgb",
+            "component_format": "float32",
+            "rfilter": {"type": "box"},
+        },
+    }
+
+
+def camera_frame(view: View) -> Float[np.ndarray, "3 3"]:
+    """Rows right, up, forward of the camera, world space, unit.
+
+    Raises:
+        PrtError: if the pose defines no camera (origin equals target, up along the line of sight, fov).
+    """
+    origin, target, up = (np.asarray(v, dtype=np.float64) for v in (view.origin, view.target, view.up))
+    forward = target - origin
+    right = np.cross(forward, up)
+    if not (np.isfinite(right).all() and np.linalg.norm(right) > 1e-9 * np.linalg.norm(forward) > 0.0):
+        raise PrtError(
+            f"view from {view.origin} to {view.target} with up {view.up} is no camera: origin and target must "
+            "differ and up must not lie along the line of sight; choose another up"
+        )
+    if not 0.0 < view.fov < 180.0 or view.width < 1 or view.height < 1:
+        raise PrtError(
+            f"view with fov={view.fov} and size {view.width}x{view.height}: fov must lie between 0 and 180 "
+            "degrees and the size must be at least 1x1"
+        )
+    forward /= np.linalg.norm(forward)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(right, forward), forward])
+
+
+def pixel_directions(view: View) -> Float[np.ndarray, "P 3"]:
+    """Unit directions from the camera through the pixel centres, row-major, float32."""
+    right, up, forward = camera_frame(view)
+    half_width = math.tan(math.radians(view.fov) / 2)
+    x = (2 * (np.arange(view.width) + 0.5) / view.width - 1) * half_width
+    y = (1 - 2 * (np.arange(view.height) + 0.5) / view.height) * half_width * view.height / view.width
+    d = x[None, :, None] * right + y[:, None, None] * up + forward
+    d /= np.linalg.norm(d, axis=-1, keepdims=True)
+    return d.reshape(-1, 3).astype(np.float32)
+
+
+def camera_rays(view: View):
+    """``mi.Ray3f`` through the pixel centres, row-major; kernels stay the same from view to view."""
+    mi = mitsuba()
+    directions = pixel_directions(view)
+    forward = camera_frame(view)[2].astype(np.float32)
+    near = NEAR / (directions @ forward)[:, None]
+    origins = np.asarray(view.origin, dtype=np.float32) + near * directions
+    return mi.Ray3f(mi.Point3f(origins.T.copy()), mi.Vector3f(directions.T.copy()))
+
+
+def capture(mi_scene, view: View) -> GBuffer:
+    """The G-buffer of a view.
+
+    Args:
+        mi_scene: from ``Scene.load``, with or without an emitter.
+        view: the camera; image of P = width x height pixels.
+
+    Returns:
+        CPU float32 tensors for the N pixels that hit the scene; the others are False in ``hit``. The normal
+        is the shading normal (bump and normal maps included) on the viewer's side, and ``wr`` is ``wo``
+        mirrored about it.
+
+    Raises:
+        PrtError: for a BSDF that is not supported, a degenerate camera, or without a vectorised variant.
+    """
+    import drjit as dr
+
+    mi = mitsuba()
+    if mi.variant().startswith("scalar"):
+        raise PrtError("the G-buffer needs a vectorised Mitsuba variant: pip install karellen-llvm-core")
+    si = _first_opaque_hit(mi_scene, camera_rays(view))
+    hit = torch.from_numpy(np.array(si.is_valid()))
+    count = int(hit.sum())
+    if count == 0:
+        return _empty(hit, view)
+    si = dr.gather(mi.SurfaceInteraction3f, si, mi.UInt32(hit.nonzero()[:, 0].numpy().astype(np.uint32)))
+    material = _materials(si, count)
+
+    position = _rows(si.p, count)
+    wo = torch.nn.functional.normalize(torch.tensor(view.origin, dtype=torch.float32) - position, dim=1)
+    normal = _towards_viewer(_rows(material.normal, count), _rows(si.n, count), wo)
+    cosine = (normal * wo).sum(1, keepdim=True)
+    return GBuffer(
+        position=position,
+        normal=normal,
+        wo=wo,
+        wr=torch.nn.functional.normalize(2 * cosine * normal - wo, dim=1),
+        diffuse=_rows(material.diffuse, count),
+        specular=_rows(material.specular, count),
+        roughness=_rows(material.roughness, count),
+        uv=_rows(si.uv, count),
+        hit=hit,
+        view=view,
+    )
+
+
+def _first_opaque_hit(mi_scene, ray):
+    """The first surface that is not mostly transparent; mask BSDFs let the ray through elsewhere."""
+    import drjit as dr
+
+    mi = mitsuba()
+    si = mi_scene.ray_intersect(ray)
+    masked = any(mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null) for shape in mi_scene.shapes() if shape.bsdf())
+    for _ in range(MAX_LAYERS if masked else 0):
+        transmission = dr.mean(mi.Color3f(si.bsdf().eval_null_transmission(si, si.is_valid())))
+        through = si.is_valid() & (transmission > SEE_THROUGH)
+        if not dr.any(through):
+            break
+        onward = si.spawn_ray(ray.d)
+        deeper = mi_scene.ray_intersect(onward, through)
+        si = dr.select(through, deeper, si)
+    return si
+
+
+def _materials(si, count: int) -> Material:
+    """Evaluate each BSDF on the hits that carry it and put the results together."""
+    import drjit as dr
+
+    mi = mitsuba()
+    pointers, shapes = si.bsdf(), si.shape
+    ids = np.array(dr.reinterpret_array(mi.UInt32, pointers))
+    out = Material(dr.zeros(mi.Color3f, count), dr.zeros(mi.Color3f, count), dr.zeros(mi.Float, count),
+                   dr.zeros(mi.Normal3f, count))  # fmt: skip
+    for value in np.unique(ids):
+        where = np.flatnonzero(ids == value).astype(np.uint32)
+        index = mi.UInt32(where)
+        first = int(where[0])
+        part = evaluate(pointers[first], dr.gather(mi.SurfaceInteraction3f, si, index), shapes[first].id())
+        for name in ("diffuse", "specular", "roughness", "normal"):
+            dr.scatter(getattr(out, name), getattr(part, name), index)
+    return out
+
+
+def _rows(values, count: int) -> Float[torch.Tensor, "N C"]:
+    """A Dr.Jit array of N vectors (or scalars) as a torch tensor with one row each."""
+    array = np.array(values, dtype=np.float32)
+    array = array[None] if array.ndim == 1 else array
+    return torch.from_numpy(np.broadcast_to(array, (array.shape[0], count)).T.copy())
+
+
+def _towards_viewer(shading, geometric, wo) -> Float[torch.Tensor, "N 3"]:
+    """The shading normal on the side of the surface the viewer is on.
+
+    The side is judged by the geometric normal: near a silhouette the interpolated normal may point away from
+    a viewer who does see the front, and flipping it there would turn it inside out. It is then bent just
+    until it is perpendicular to ``wo``.
+    """
+    sides = (geometric * wo).sum(1) * (geometric * shading).sum(1)
+    normal = torch.where((sides < 0)[:, None], -shading, shading)
+    behind = (normal * wo).sum(1, keepdim=True).clamp(max=0.0)
+    return torch.nn.functional.normalize(normal - behind * wo, dim=1)
+
+
+def _empty(hit: torch.Tensor, view: View) -> GBuffer:
+    def zeros(channels):
+        return torch.zeros((0, channels))
+
+    return GBuffer(zeros(3), zeros(3), zeros(3), zeros(3), zeros(3), zeros(3), zeros(1), zeros(2), hit, view)

@@ -1,0 +1,149 @@
+"""The folded renderer equals the readable one, sampling obeys its settings, fitting lowers the loss."""
+
+import pytest
+import torch
+
+from prt.errors import PrtError
+from prt.light import haar
+from prt.methods.wavelet_neural import WaveletNeural
+from prt.scene.gbuffer import GBuffer
+
+RESOLUTION = 8
+TRAINING = dict(
+    steps=30, pixels=64, wavelets=32, largest_share=0.5, draw="transport", lightings=2, target="truncated",
+    loss="mu_law_slope", mu=10.0, epsilon=1.0, rates=dict(grid=1e-2, wavelet=1e-2, mlp=2e-3), average=0.9,
+    scale_rows=32, strategies=dict(uniform=1.0, specular=1.0),
+)  # fmt: skip
+
+
+def make(**changes) -> WaveletNeural:
+    training = {**TRAINING, **changes.pop("training", {})}
+    settings = dict(
+        wavelets=16, selection="transport", width=32, sh_degree=4, scale_outputs=True, training=training,
+        grid=dict(levels=4, features=2, log2_table=10, base_resolution=4, scale=1.5),
+    )  # fmt: skip
+    return WaveletNeural(**{**settings, **changes})
+
+
+def random_gbuffer(count: int, seed: int = 0) -> GBuffer:
+    generator = torch.Generator().manual_seed(seed)
+
+    def directions():
+        return torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=1)
+
+    def unit(columns):
+        return torch.rand(count, columns, generator=generator)
+
+    return GBuffer(unit(3) * 2 - 1, directions(), directions(), directions(), unit(3), unit(3), unit(1), unit(2),
+                   torch.ones(count, dtype=torch.bool))  # fmt: skip
+
+
+@pytest.fixture
+def built() -> WaveletNeural:
+    torch.manual_seed(0)
+    method = make()
+    sigma = torch.rand(6 * RESOLUTION**2) + 0.1
+    method.build(((-1, -1, -1), (1, 1, 1)), RESOLUTION, sigma, "cpu")
+    with torch.no_grad():
+        method.net.grid.table.normal_()
+        for layer in method.net.mlp.layers:
+            layer.bias.normal_()
+    return method
+
+
+def random_lighting(seed: int = 1) -> torch.Tensor:
+    return torch.rand((6, RESOLUTION, RESOLUTION, 3), generator=torch.Generator().manual_seed(seed)) * 3
+
+
+def test_folded_equals_readable(built):
+    gbuffer, code = random_gbuffer(300), built.light(random_lighting())
+    folded = built.shade(gbuffer, code)
+    built.folded = False
+    readable = built.shade(gbuffer, code)
+    assert readable.abs().mean() > 0.01
+    assert (folded - readable).norm() / readable.norm() < 1e-4
+    assert ((folded - readable).abs() / readable.abs().clamp(min=readable.abs().mean())).max() < 1e-4
+
+
+def test_bfloat16_error_is_small(built):
+    gbuffer = random_gbuffer(300)
+    exact = built.shade(gbuffer, built.light(random_lighting()))
+    built.precision = "bfloat16"
+    rough = built.shade(gbuffer, built.light(random_lighting()))
+    assert 0 < (rough - exact).norm() / exact.norm() < 0.03
+
+
+def test_radiance_is_linear_in_the_kept_wavelets(built):
+    built.wavelets = 6 * RESOLUTION**2
+    gbuffer, a, b = random_gbuffer(50), random_lighting(1), random_lighting(2)
+    both = built.shade(gbuffer, built.light(a + b))
+    apart = built.shade(gbuffer, built.light(a)) + built.shade(gbuffer, built.light(b))
+    assert torch.allclose(both, apart, rtol=1e-3, atol=1e-3 * float(both.abs().mean()))
+
+
+def test_truncated_lighting_has_k_wavelets(built):
+    kept = haar.forward(built.truncated(random_lighting())).reshape(-1, 3)
+    assert (kept.abs().sum(dim=1) > 1e-4).sum() == built.wavelets
+
+
+def test_training_coefficients_equal_the_readable_ones(built):
+    gbuffer, k = random_gbuffer(40), torch.tensor([0, 5, 100, 383])
+    features = built.net.features(gbuffer)
+    fast = built.net.coefficients(built.net.grid(gbuffer.position), features, k)
+    slow = built.net.coefficients_readable(gbuffer.position, features, k)
+    assert torch.allclose(fast, slow, rtol=1e-4, atol=1e-4)
+
+
+def test_drawn_wavelets_are_distinct_and_hold_the_largest(built):
+    coefficients = haar.forward(torch.stack([random_lighting(1), random_lighting(2)])).flatten(1, 3)
+    drawn = built.draw_wavelets(coefficients, torch.Generator().manual_seed(3))
+    assert len(drawn) == TRAINING["wavelets"] == len(torch.unique(drawn))
+    strength = coefficients.square().sum(dim=2) * built.sigma.square()
+    for row in strength:
+        assert set(row.argsort(descending=True)[:4].tolist()) <= set(drawn.tolist())
+
+
+def test_empty_view_gives_no_radiance(built):
+    assert built.shade(random_gbuffer(0), built.light(random_lighting())).shape == (0, 3)
+
+
+@pytest.mark.parametrize("scale", [0.0, 1e6])
+def test_black_and_bright_lights_stay_finite(built, scale):
+    out = built.shade(random_gbuffer(20), built.light(random_lighting() * scale))
+    assert torch.isfinite(out).all()
+    assert scale > 0 or out.abs().max() == 0
+
+
+def test_saved_model_renders_the_same(built, tmp_path):
+    class Scene:
+        bounds = ((-1, -1, -1), (1, 1, 1))
+
+    class Task:
+        scene = Scene()
+
+    built.save(tmp_path / "model.safetensors")
+    other = make()
+    other.load(tmp_path / "model.safetensors", Task(), "cpu")
+    gbuffer = random_gbuffer(30)
+    assert torch.equal(built.shade(gbuffer, built.light(random_lighting())),
+                       other.shade(gbuffer, other.light(random_lighting())))  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "change, word",
+    [
+        (dict(selection="largest"), "selection"),
+        (dict(precision="float16"), "precision"),
+        (dict(wavelets=0), "wavelets"),
+        (dict(training=dict(draw="all")), "draw"),
+        (dict(training=dict(target="none")), "target"),
+    ],
+)
+def test_bad_settings_are_named(change, word):
+    with pytest.raises(PrtError, match=word):
+        make(**change)
+
+
+def test_another_resolution_is_refused(built):
+    with pytest.raises(PrtError, match="task.resolution=8"):
+        built.light(torch.ones(6, 4, 4, 3))
