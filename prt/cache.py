@@ -4,15 +4,17 @@ Written to a temporary name, checksummed, renamed: a reader never sees half a fi
 share one cache. A damaged file is detected by its checksum, named in a warning, and rebuilt.
 """
 
+import contextlib
 import hashlib
 import json
 import os
-import tempfile
+import uuid
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors.torch import load, save
 from torch import Tensor
 
@@ -36,23 +38,42 @@ def cached(kind: str, version: int, settings: dict[str, Any], build: Callable[[]
         version: of the code that builds; raise it when the content changes for equal settings.
         settings: plain JSON data, all that determines the content.
         build: called on a miss.
+
+    Raises:
+        PrtError: if the cache folder cannot be read or written; known before ``build`` is called.
     """
     folder = cache_folder() / kind
     path = folder / f"{settings_key({'version': version, **settings})}.safetensors"
     found = read_checked(path)
     if found is not None:
         return found
-    tensors = {name: value.contiguous() for name, value in build().items()}
+    # An unwritable folder is better known before the minutes of building than after.
+    probe = path.with_name(f"{path.name}.{uuid.uuid4().hex}.probe")
+    write_atomically(probe, b"")
+    probe.unlink(missing_ok=True)
+    # clone: safetensors refuses tensors that share memory, and a file of a slice should hold only the slice
+    tensors = {
+        name: value.detach().clone(memory_format=torch.contiguous_format) for name, value in build().items()
+    }
     write_checked(path, tensors)
     return tensors
 
 
 def read_checked(path: Path) -> Tensors | None:
-    """The tensors of a cache file, or None where it is absent or damaged (a warning names the damaged file)."""
+    """The tensors of a cache file, or None where it is absent or damaged (a warning names the damaged file).
+
+    Raises:
+        PrtError: if the file is there but cannot be read.
+    """
     try:
         blob = path.read_bytes()
     except FileNotFoundError:
         return None
+    except OSError as error:
+        raise PrtError(
+            f"cannot read {path}: {error.strerror or error}; "
+            "make it readable or choose another folder (PRT_CACHE, run.folder)"
+        ) from error
     digest, body = blob[:32], blob[32:]
     if hashlib.sha256(body).digest() != digest:
         warnings.warn(f"cache file {path} is damaged and will be rebuilt", stacklevel=3)
@@ -72,20 +93,21 @@ def write_atomically(path: Path, content: bytes) -> None:
     Raises:
         PrtError: if the folder cannot be made or written.
     """
+    # not tempfile: its files are readable by their owner alone, and a cache may be shared
+    temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name + ".", suffix=".tmp")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise PrtError(f"cannot write {path}: {error.strerror or error}; choose another folder (PRT_CACHE, run.folder) "
-                       "or free the disk") from error
-
-
+        with open(temporary, "xb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except BaseException as error:
+        with contextlib.suppress(OSError):  # it may never have come to be
+            temporary.unlink()
+        if isinstance(error, OSError):
+            raise PrtError(
+                f"cannot write {path}: {error.strerror or error}; "
+                "choose another folder (PRT_CACHE, run.folder) or free the disk"
+            ) from error
+        raise

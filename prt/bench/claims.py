@@ -7,17 +7,19 @@ One claim is one line::
     wavelet_neural[denoised] > wavelet_neural by 0.5 on psnr/indirect, far, most scenes
     wavelet_neural ~ neural_prt[denoised] within 0.02 on ssim/full, far, most scenes
     wavelet_neural[near] ~ wavelet_neural[far] within 1.5 on psnr/full, every scene
-    wavelet_neural[denoised] - wavelet_neural > neural_prt[denoised] - neural_prt on psnr/full, far, every scene
+    wavelet_neural[denoised] - wavelet_neural > 0.5 on psnr/full, far, every scene
     wavelet_neural > 30 on psnr/indirect, far, scene cornell_glossy
 
-``>`` always means *better*, whichever way the metric runs; ``~ ... within`` means equal up to that much. A method
-may carry its variant and its split in brackets. ``|`` writes several claims in one line.
+``>`` always means *better*, whichever way the metric runs; ``~ ... within`` means equal up to that much. A
+method may carry its variant and its split in brackets. ``|`` writes several claims in one line. Costs have no
+component and no split: ``wavelet_neural > path_traced on time/frame, every scene``.
 """
 
 import itertools
 import re
 from dataclasses import dataclass
 
+from prt.bench.results import is_cost
 from prt.errors import PrtError
 
 GRAMMAR = (
@@ -42,7 +44,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Claim:
-    """``better[0] - better[1] ...`` against ``than``, on one metric, component and split, over a scope of scenes."""
+    """``better[0] - better[1]`` against ``than``, on one metric, component and split, over some scenes."""
 
     statement: str
     better: tuple[Term, ...]
@@ -88,7 +90,7 @@ def _parse(text: str, known_metrics: set[str] | None) -> Claim:
         raise wrong("`~` needs `within <width>` and `>` takes only `by <margin>`")
 
     what, *clauses = [clause.strip() for clause in rest.split(",")]
-    metric, slash, component = what.rpartition("/")
+    metric, slash, component = (what, "/", "") if is_cost(what) else what.rpartition("/")
     if not slash or component not in ("full", "direct", "indirect", ""):
         raise wrong(f"{what!r} is not <metric>/<component> with component full, direct or indirect")
     if known_metrics is not None and metric not in known_metrics:
@@ -108,7 +110,7 @@ def _parse(text: str, known_metrics: set[str] | None) -> Claim:
 
     terms = [[_term(t, wrong) for t in side.split(" - ")] for side in (left, right)]
     for term in itertools.chain(*terms):
-        if term.method and not (term.split or split):
+        if term.method and not (term.split or split or is_cost(metric)):
             raise wrong(f"it does not say whether {term.method} is judged on near or far views")
     return Claim(
         text, tuple(terms[0]), tuple(terms[1]), metric, component, split, scope, scenes,

@@ -21,10 +21,11 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, InstantiationException
 from hydra.utils import get_class, instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
 
 import prt
 from prt.errors import PrtError
+from prt.metrics.registry import metric_of
 
 #: the groups whose settings are constructor arguments; only these take new keys with ``+``
 BUILT = ("task", "scene", "lighting", "method")
@@ -66,7 +67,7 @@ def by_budget(table: dict[str, Any], *, _root_: DictConfig) -> Any:
     """Resolver ``${by_budget:{smoke:16,laptop:64,gpu:128,paper:128}}``: the entry of the root's ``budget.name``."""
     name = _root_.budget.name
     if name not in table:
-        raise PrtError(f"budget={name} is not set here; choose from {', '.join(table)} ({{}})")
+        raise PrtError(f"budget={name} has no value here; choose from {', '.join(table)}")
     return table[name]
 
 
@@ -102,13 +103,27 @@ def finish(cfg: DictConfig, chosen: dict[str, Any] | None = None) -> DictConfig:
     if missing:
         raise PrtError(f"{missing[0]} is missing; do not delete it, choose one ({missing[0]}=...)")
     cfg = OmegaConf.create({key: cfg._get_node(key) for key in cfg if key != "hydra"})
-    OmegaConf.resolve(cfg)
+    resolve(cfg)
     with open_dict(cfg):
         cfg.choice = names
         cfg.device = device_kind(cfg.device)
     check_root(cfg)
     OmegaConf.set_struct(cfg, True)
     return cfg
+
+
+def resolve(cfg: DictConfig) -> None:
+    """Resolve in place; an error names the setting, which OmegaConf's own does not."""
+    try:
+        OmegaConf.resolve(cfg)
+    except InterpolationResolutionError as error:
+        reason = str(error).split("interpolation: ", 1)[-1].splitlines()[0]
+        for key in all_keys(cfg):
+            try:
+                OmegaConf.select(cfg, key)
+            except InterpolationResolutionError:
+                raise PrtError(f"{key}: {reason}") from error
+        raise PrtError(reason) from error
 
 
 def device_kind(wanted: Any) -> str:
@@ -131,6 +146,8 @@ def check_root(cfg: DictConfig) -> None:
         raise PrtError(f"run.checkpoint_seconds={seconds!r} must be a number of seconds of at least 0")
     if not isinstance(cfg.run.repetitions, int) or cfg.run.repetitions < 30:
         raise PrtError(f"run.repetitions={cfg.run.repetitions!r} must be an integer of at least 30 (the timing protocol)")
+    for name in cfg.run.metrics:
+        metric_of(name)
     for key in ("run.denoise", "run.images.save"):
         value = OmegaConf.select(cfg, key)
         if not isinstance(value, bool):
@@ -190,10 +207,6 @@ def translate(error: BaseException, overrides: Sequence[str]) -> PrtError:
         return PrtError(f"{text.splitlines()[0]}: several values are a sweep, add -m; a list is key=[a,b]")
     if match := re.search(r"Error parsing override '([^']+)'", text):
         return PrtError(f"cannot read {match.group(1)!r}: an override is key=value, as in scene=cornell_glossy or seed=1")
-    if "PrtError raised while resolving" in text:
-        key = re.search(r"full_key: (\S+)", text)
-        message = text.split("interpolation: ", 1)[-1].splitlines()[0]
-        return PrtError(message.replace("{}", key.group(1) if key else "config"))
     return PrtError(" ".join(text.split()))
 
 

@@ -3,16 +3,18 @@
 Per-image figures stay available (:func:`read_images`), because claims compare image by image.
 """
 
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
+from prt.bench.run_folder import METRIC_COLUMNS, RunFolder
 from prt.errors import PrtError
-from prt.metrics.intervals import mean_interval
+from prt.metrics.intervals import Interval, mean_interval
+from prt.metrics.registry import BAD_PIXELS, metric_of
 
 COLUMNS = [
     "scene", "method", "variant", "budget", "device", "split", "component", "metric",
@@ -20,39 +22,74 @@ COLUMNS = [
 ]  # fmt: skip
 #: what a row is about; two rows never share all of these
 KEYS = COLUMNS[:8]
-#: what a published row and a measured row must share to stand side by side (a paper has its own GPU and budget)
+#: what a published and a measured row must share to stand side by side (a paper has its own GPU and budget)
 PUBLISHED_KEYS = ["scene", "method", "variant", "split", "component", "metric"]
+TIME_SCOPES = ("gbuffer", "light", "shade", "denoise")
 #: variant token of figures taken after denoising
 DENOISED = "denoised"
+#: PSNR of a reference against another seed of itself
+NOISE_FLOOR = "noise_floor"
 IMAGE_COLUMNS = [
     "scene", "method", "variant", "budget", "device", "seed",
     "split", "view", "lighting", "component", "metric", "value",
 ]  # fmt: skip
-TIME_SCOPES = ("gbuffer", "light", "shade", "denoise")
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One run of a table's grid, as found on disk."""
+    """One run of a table's grid and where it lies; its state is read from the folder, never kept here."""
 
     scene: str
     method: str
     variant: str  #: what the grid varies beside scene, method and seed, as ``wavelets=64``; empty for nothing
     seed: int
     budget: str
-    state: str  #: ``done``, ``failed`` or ``missing``
-    folder: Path | None = None
-    reason: str = ""  #: one line: why it failed
+    run: RunFolder
+    overrides: tuple[str, ...] = ()  #: the Hydra overrides that ``prt run`` takes for it
+
+    @property
+    def done(self) -> bool:
+        return self.run.done
 
     @property
     def device(self) -> str:
-        timing = self.read_json("timing.json")
-        return str(timing.get("device") or self.read_json("provenance.json").get("device") or "")
+        """The processor or GPU that shaded, and how many threads a CPU had."""
+        seen = self.run.provenance()
+        name = str(seen.get("device_name") or seen.get("device") or "")
+        return (
+            f"{name}, {seen['threads']} threads"
+            if seen.get("device") == "cpu" and "threads" in seen
+            else name
+        )
 
-    def read_json(self, name: str) -> dict[str, Any]:
-        """A JSON file of the run folder; empty where there is none (a run that failed early)."""
-        path = (self.folder or Path("/nonexistent")) / name
-        return json.loads(path.read_text()) if path.is_file() else {}
+    @property
+    def reason(self) -> str:
+        """Why there are no figures, in one line; empty for a finished run."""
+        if self.run.done:
+            return ""
+        state = self.run.state()
+        words = {"absent": "not run", "stopped": "stopped before its end", "running": "still running"}
+        return self.run.failure() or words.get(state, state)
+
+
+def is_cost(metric: str) -> bool:
+    """Whether a metric is a time or a size: one figure a run, no images, less is better."""
+    return metric.startswith(("time/", "bytes/"))
+
+
+def direction_of(metric: str) -> str:
+    """``higher`` or ``lower``, from the metric's own definition.
+
+    Raises:
+        PrtError: for a metric nobody defines.
+    """
+    if is_cost(metric):
+        return "lower"
+    if metric == BAD_PIXELS:
+        return "lower"
+    if metric == NOISE_FLOOR or metric.startswith("ratio/"):
+        return "higher"
+    return metric_of(metric.partition("/")[0]).direction
 
 
 def join_variant(*tokens: str) -> str:
@@ -68,47 +105,63 @@ def read_images(cells: Iterable[Cell]) -> pd.DataFrame:
     """
     frames = []
     for cell in cells:
-        if cell.state != "done" or cell.folder is None:
+        if not cell.done:
             continue
-        path = cell.folder / "metrics.csv"
         try:
-            frame = pd.read_csv(path, dtype={"view": str, "lighting": str, "denoised": str}, keep_default_na=True)
-            frame = frame[["split", "view", "lighting", "component", "denoised", "metric", "value"]].copy()
+            frame = cell.run.metrics()[list(METRIC_COLUMNS)].copy()
+            frame["value"] = frame["value"].astype(float)
         except (OSError, KeyError, ValueError) as error:
-            raise PrtError(f"cannot read {path} ({error}); run `prt score {cell.folder}` to compute it again") from error
-        denoised = frame.pop("denoised").fillna("").str.lower().isin(["true", "1"])
+            where = cell.run.path
+            raise PrtError(
+                f"cannot read {where}/metrics.csv ({error}); compute it again with `prt score {where}`"
+            ) from error
+        denoised = frame.pop("denoised").astype(str).str.lower().isin(["true", "1"])
         frame["variant"] = [join_variant(cell.variant, DENOISED if flag else "") for flag in denoised]
         frame = frame.assign(
             scene=cell.scene, method=cell.method, budget=cell.budget, device=cell.device, seed=cell.seed
         )
-        for column in ("split", "view", "lighting", "component"):
-            frame[column] = frame[column].fillna("")
         frames.append(frame[IMAGE_COLUMNS])
     return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=IMAGE_COLUMNS)
 
 
 def summarise(cells: list[Cell], images: pd.DataFrame, published: pd.DataFrame | None = None) -> pd.DataFrame:
-    """The tidy table of means with 95 % intervals, timings and sizes, the paper's numbers in a column of their own.
+    """The tidy table: means with 95 % intervals, costs, and the paper's numbers in a column of their own.
 
-    An image's figure is first averaged over seeds, so that ``n`` counts test images and the interval is over them.
+    An image's figure is first averaged over seeds: ``n`` counts test images and the interval is over them.
     One figure that is not available (NaN) makes the mean not available: nothing is dropped in silence.
     """
     rows = []
-    if len(images):
-        seeds = images.groupby(KEYS, sort=False)["seed"].nunique()
-        for key, group in images.groupby(KEYS, sort=False):
-            values = group.groupby(["view", "lighting"], sort=False)["value"].apply(lambda v: v.mean(skipna=False))
-            row = dict(zip(KEYS, key, strict=True), n=len(values), seeds=int(seeds[key]))
-            if values.notna().all():
-                row["value"], row["lo"], row["hi"], _ = mean_interval(values.to_numpy(dtype=float))
-            rows.append(row)
+    for key, group in images.groupby(KEYS, sort=False) if len(images) else ():
+        values = over_seeds(group)
+        row = dict(zip(KEYS, key, strict=True), n=len(values), seeds=group["seed"].nunique())
+        if values.notna().all():
+            row["value"], row["lo"], row["hi"], _ = image_interval(values)
+        rows.append(row)
     rows += _cost_rows(cells)
     table = pd.DataFrame(rows, columns=COLUMNS)
     return merge_published(table, published)
 
 
+def over_seeds(figures: pd.DataFrame) -> pd.Series:
+    """One figure per (view, lighting): the mean over seeds, NaN where one of them is."""
+    return figures.groupby(["view", "lighting"], sort=True)["value"].agg(lambda v: v.mean(skipna=False))
+
+
+def image_interval(values: pd.Series) -> Interval:
+    """The mean of figures indexed by (view, lighting), with its 95 % interval.
+
+    Images of one view depend on each other, and so do images under one lighting: the wider of the two
+    grouped intervals is taken.
+    """
+    found = [
+        mean_interval(values.to_numpy(float), groups=list(values.index.get_level_values(i))) for i in (0, 1)
+    ]
+    known = [interval for interval in found if np.isfinite(interval.hi - interval.lo)]
+    return max(known, key=lambda interval: interval.hi - interval.lo) if known else found[0]
+
+
 def _cost_rows(cells: list[Cell]) -> list[dict[str, Any]]:
-    """Times (median over repetitions; ``hi`` the 95th percentile) and the model's size, the median over seeds."""
+    """Times (median over repetitions; ``hi`` the 95th percentile) and the model's size; median over seeds."""
     found: dict[tuple, list[tuple[float, float | None]]] = {}
 
     def add(cell: Cell, variant: str, metric: str, value: float, p95: float | None = None) -> None:
@@ -116,21 +169,21 @@ def _cost_rows(cells: list[Cell]) -> list[dict[str, Any]]:
         found.setdefault(key, []).append((float(value), p95))
 
     for cell in cells:
-        timing = cell.read_json("timing.json") if cell.state == "done" else {}
-        scopes = {s: timing[s] for s in TIME_SCOPES if isinstance(timing.get(s), dict) and "median" in timing[s]}
-        for scope, figures in scopes.items():
-            variant = join_variant(cell.variant, DENOISED if scope == "denoise" else "")
-            add(cell, variant, f"time/{scope}", figures["median"], figures.get("p95"))
+        timing = cell.run.timing() if cell.done else {}
+        scopes = {scope: timing[scope] for scope in TIME_SCOPES if isinstance(timing.get(scope), dict)}
+        denoised = join_variant(cell.variant, DENOISED)
+        for scope, entry in scopes.items():
+            # denoising belongs to the denoised images; all else is spent either way
+            add(cell, denoised if scope == "denoise" else cell.variant, f"time/{scope}", *_sum(entry))
         if "shade" in scopes:
-            # what one more frame costs under a fixed light: the G-buffer, shading it, and denoising where done
-            frame = [scopes[s] for s in ("gbuffer", "shade") if s in scopes]
-            add(cell, cell.variant, "time/frame", *_sum(frame))
+            # what one more frame costs under a fixed light: G-buffer, shading, and denoising where done
+            frame = [scopes[scope] for scope in ("gbuffer", "shade") if scope in scopes]
+            add(cell, cell.variant, "time/frame", *_sum(*frame))
             if "denoise" in scopes:
-                add(cell, join_variant(cell.variant, DENOISED), "time/frame", *_sum([*frame, scopes["denoise"]]))
-        for source, metric in (("fit", "time/fit"), ("bytes", "bytes/model")):
-            if timing.get(source) is not None:
-                value = timing[source]
-                add(cell, cell.variant, metric, value["median"] if isinstance(value, dict) else value)
+                add(cell, denoised, "time/frame", *_sum(*frame, scopes["denoise"]))
+        for name, metric in (("fit", "time/fit"), ("bake", "time/bake"), ("bytes", "bytes/model")):
+            if timing.get(name) is not None:
+                add(cell, cell.variant, metric, timing[name])
     rows = []
     for key, figures in found.items():
         value = float(pd.Series([f[0] for f in figures]).median())
@@ -142,8 +195,9 @@ def _cost_rows(cells: list[Cell]) -> list[dict[str, Any]]:
     return rows
 
 
-def _sum(parts: list[dict[str, float]]) -> tuple[float, float]:
-    return sum(p["median"] for p in parts), sum(p.get("p95", p["median"]) for p in parts)
+def _sum(*entries: dict[str, float]) -> tuple[float, float]:
+    """Median and 95th percentile of scopes one after the other (percentiles added: an upper bound)."""
+    return sum(e["median"] for e in entries), sum(e.get("p95", e["median"]) for e in entries)
 
 
 def read_published(path: Path) -> pd.DataFrame:
@@ -153,7 +207,7 @@ def read_published(path: Path) -> pd.DataFrame:
         PrtError: for a missing file, other columns, or a number in a measured column.
     """
     if not path.is_file():
-        raise PrtError(f"published numbers not found: {path}; correct `published` in the table's YAML or remove it")
+        raise PrtError(f"published numbers not found: {path}; correct or remove `published` in the YAML")
     table = pd.read_csv(path, dtype={"variant": str, "split": str, "component": str})
     if list(table.columns) != COLUMNS:
         raise PrtError(f"{path}: columns are {list(table.columns)}; they must be {COLUMNS}")

@@ -73,9 +73,9 @@ class RunFolder:
         kinds = {name: str for name in METRIC_COLUMNS if name not in ("denoised", "value")}
         return pd.read_csv(path, dtype=kinds, keep_default_na=False, na_values={"value": ["nan"]})
 
-    def timing(self) -> dict[str, dict[str, float]]:
-        """timing.json: name (``time/shade``, ``bytes/model``, ...) -> ``value`` (seconds or bytes; the median where
-        repeated), and ``p95`` and ``repetitions`` where measured repeatedly."""
+    def timing(self) -> dict[str, Any]:
+        """timing.json: ``fit`` and ``bake`` in seconds, ``bytes`` of the model, ``device`` and ``threads``, and for the
+        scopes ``light``, ``shade``, ``gbuffer`` and ``denoise`` a dict with ``median``, ``p95``, ``repetitions``."""
         return read_json(self.path / "timing.json")
 
     def provenance(self) -> dict[str, Any]:
@@ -110,7 +110,9 @@ class RunFolder:
         """Write configuration and provenance; clears an earlier failure."""
         if not (self.path / "config.yaml").exists():
             write_atomically(self.path / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True).encode())
-        write_json(self.path / "provenance.json", provenance)
+        session = {name: provenance.get(name) for name in ("time", "commit", "machine", "command")}
+        sessions = [*self.provenance().get("sessions", []), session]
+        write_json(self.path / "provenance.json", {**provenance, "sessions": sessions})
         for name in ("FAILED", "traceback.txt"):
             (self.path / name).unlink(missing_ok=True)
 
@@ -130,8 +132,8 @@ class RunFolder:
         with path.open(newline="") as file:
             return [tuple(row) for row in csv.reader(file)][1:]
 
-    def add_timing(self, **entries: dict[str, float]) -> None:
-        """Merge entries into timing.json (pass names with slashes through ``**{...}``)."""
+    def add_timing(self, **entries: Any) -> None:
+        """Merge entries into timing.json."""
         write_json(self.path / "timing.json", {**self.timing(), **entries})
 
     def finish(self) -> None:

@@ -3,7 +3,7 @@
 Faces +x, -x, +y, -y, +z, -z in the OpenGL layout. Whatever turns another map into a cubemap does it through a
 sparse overlap matrix: entry (t, p) is the solid angle, in steradians, that target texel t shares with source
 pixel p. The matrix is balanced so that its columns add up to the pixels' solid angles (energy is kept, even
-of a sun in one pixel) and its rows to the texels' (a constant map stays constant).
+of a sun in one pixel) and its rows, within the sampling's error, to the texels' (a constant map stays so).
 """
 
 import functools
@@ -12,8 +12,6 @@ import math
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-
-from prt.errors import PrtError
 
 #: per face the images of (1, u, v): direction = axes[0] + u axes[1] + v axes[2]
 _AXES = torch.tensor(
@@ -29,8 +27,8 @@ _AXES = torch.tensor(
 )
 #: sub-pixels across a texel that overlap matrices are estimated from
 _SAMPLES_ACROSS = 8
-#: rounds of balancing; the rows are then within about 1e-6 of their sums, the columns exact
-_BALANCING_ROUNDS = 30
+#: rounds of balancing an overlap matrix
+_BALANCING_ROUNDS = 200
 
 
 def face_directions(
@@ -113,13 +111,10 @@ def from_equirect(
 
     Args:
         image: linear radiance; orientation as in :func:`equirect_directions`.
-        supersample: sub-pixels along each side of a pixel; by default enough for 8 across the smallest texel.
-
-    Raises:
-        PrtError: if ``supersample`` leaves a texel without a sample.
+        supersample: parts along each side of a pixel; by default enough for 8 across the smallest texel, and
+            images with far more pixels than texels are first halved (also keeping energy).
     """
     image = image.double()
-    # far more pixels than texels: area-weighted halving first, which keeps the energy of every pair of pixels
     while supersample is None and image.shape[1] >= 32 * R and not (image.shape[0] % 2 or image.shape[1] % 2):
         image = _halve(image)
     H, W = image.shape[:2]
@@ -128,13 +123,11 @@ def from_equirect(
     return _apply(_equirect_overlap(H, W, R, step), image.reshape(H * W, 3), R)
 
 
-def rotate(
-    cubemap: Float[Tensor, "6 R R 3"], matrix: Float[Tensor, "3 3"], supersample: int = _SAMPLES_ACROSS
-) -> Float[Tensor, "6 R R 3"]:
+def rotate(cubemap: Float[Tensor, "6 R R 3"], matrix: Float[Tensor, "3 3"]) -> Float[Tensor, "6 R R 3"]:
     """The environment turned by a rotation: light from d then comes from ``matrix @ d``. Energy is kept."""
     R = cubemap.shape[1]
     key = tuple(float(x) for x in matrix.double().reshape(-1))
-    return _apply(_rotation_overlap(key, R, supersample), cubemap.reshape(-1, 3).double(), R)
+    return _apply(_rotation_overlap(key, R), cubemap.reshape(-1, 3).double(), R)
 
 
 def yaw(degrees: float) -> Float[Tensor, "3 3"]:
@@ -171,41 +164,59 @@ def _apply(overlap: Overlap, radiance: Float[Tensor, "P 3"], R: int) -> Float[Te
 
 @functools.lru_cache(maxsize=4)
 def _equirect_overlap(H: int, W: int, R: int, step: int) -> Overlap:
-    """Overlap of texels (rows) and equirectangular pixels (columns), from ``step`` x ``step`` sub-pixels."""
+    """Overlap of texels and equirectangular pixels, from ``step`` x ``step`` parts of every pixel."""
     directions = equirect_directions(H * step, W * step, torch.float64).reshape(-1, 3)
     angle = equirect_solid_angles(H * step, W * step, torch.float64).reshape(-1)
-    row = torch.arange(H * step) // step
-    column = torch.arange(W * step) // step
+    row, column = torch.arange(H * step) // step, torch.arange(W * step) // step
     pixel = (row[:, None] * W + column[None, :]).reshape(-1)
-    sums = equirect_solid_angles(H, W, torch.float64).reshape(-1)
-    return _overlap(direction_to_texel(directions, R), pixel, angle, R, sums)
+    from_pixels = direction_to_texel(directions, R), pixel, angle
+    d, texel, angle = _texel_parts(R)
+    row = (torch.acos(d[:, 1].clamp(-1, 1)) * (H / math.pi)).long().clamp(0, H - 1)
+    column = (torch.atan2(d[:, 0], -d[:, 2]) * (W / (2 * math.pi))).floor().long() % W
+    from_texels = texel, row * W + column, angle
+    return _overlap(from_pixels, from_texels, R, equirect_solid_angles(H, W, torch.float64).reshape(-1))
 
 
 @functools.lru_cache(maxsize=8)
-def _rotation_overlap(matrix: tuple[float, ...], R: int, step: int) -> Overlap:
-    """Overlap of texels (rows) and rotated texels (columns)."""
+def _rotation_overlap(matrix: tuple[float, ...], R: int) -> Overlap:
+    """Overlap of texels and rotated texels."""
     turn = torch.tensor(matrix, dtype=torch.float64).reshape(3, 3)
-    directions = texel_directions(R * step, torch.float64).reshape(-1, 3) @ turn.T
-    angle = texel_solid_angles(R * step, torch.float64).reshape(-1)
-    place = torch.arange(R * step) // step
+    d, texel, angle = _texel_parts(R)
+    forth = direction_to_texel(d @ turn.T, R), texel, angle
+    back = texel, direction_to_texel(d @ turn, R), angle
+    return _overlap(forth, back, R, texel_solid_angles(R, torch.float64).reshape(-1))
+
+
+def _texel_parts(R: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Directions, flat texel indices and solid angles of the parts of all texels."""
+    fine = R * _SAMPLES_ACROSS
+    place = torch.arange(fine) // _SAMPLES_ACROSS
     texel = (torch.arange(6)[:, None, None] * R + place[None, :, None]) * R + place[None, None, :]
-    sums = texel_solid_angles(R, torch.float64).reshape(-1)
-    return _overlap(direction_to_texel(directions, R), texel.reshape(-1), angle, R, sums)
+    angle = texel_solid_angles(fine, torch.float64)
+    return texel_directions(fine, torch.float64).reshape(-1, 3), texel.reshape(-1), angle.reshape(-1)
 
 
-def _overlap(texel: Tensor, pixel: Tensor, angle: Tensor, R: int, pixel_sums: Tensor) -> Overlap:
-    """The balanced overlap matrix of samples that lie in ``texel`` and ``pixel`` and stand for ``angle``."""
-    shape = (6 * R * R, pixel_sums.numel())
-    pairs, which = torch.unique(texel * shape[1] + pixel, return_inverse=True)
-    texel, pixel = pairs // shape[1], pairs % shape[1]
-    value = torch.bincount(which, angle, pairs.numel())
+def _overlap(from_pixels: Overlap, from_texels: Overlap, R: int, pixel_sums: Tensor) -> Overlap:
+    """The balanced mean of two estimates: where parts of pixels fall, and where parts of texels come from."""
+    P = pixel_sums.numel()
+    texel, pixel, angle = (torch.cat(both) for both in zip(from_pixels, from_texels, strict=True))
+    pairs, which = torch.unique(texel * P + pixel, return_inverse=True)
+    texel, pixel = pairs // P, pairs % P
+    value = torch.bincount(which, 0.5 * angle, pairs.numel())
     texel_sums = texel_solid_angles(R, torch.float64).reshape(-1)
-    if torch.bincount(texel, minlength=shape[0]).min() == 0:
-        raise PrtError(
-            "the environment map has fewer sub-pixels than the cubemap has texels: "
-            f"lower the resolution ({R}) or raise supersample"
-        )
+    return texel, pixel, _balance(texel, pixel, value, texel_sums, pixel_sums)
+
+
+def _balance(
+    texel: Tensor, pixel: Tensor, value: Tensor, texel_sums: Tensor, pixel_sums: Tensor
+) -> Float[Tensor, "E"]:
+    """``value`` scaled per texel and per pixel, in turn, towards the sums given; the pixels' hold exactly.
+
+    Where sampling missed the slivers that link a texel to its neighbours' pixels not all sums can hold; those
+    texels' stay wrong by the error of the sampling (a few per cent), and no energy is lost.
+    """
     for _ in range(_BALANCING_ROUNDS):
-        value = value * (texel_sums / torch.bincount(texel, value, shape[0]))[texel]
-        value = value * (pixel_sums / torch.bincount(pixel, value, shape[1]))[pixel]
-    return texel, pixel, value
+        rows = torch.bincount(texel, value, texel_sums.numel())
+        value = value * (texel_sums / rows)[texel]
+        value = value * (pixel_sums / torch.bincount(pixel, value, pixel_sums.numel()))[pixel]
+    return value

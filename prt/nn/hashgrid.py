@@ -34,7 +34,7 @@ class HashGrid(torch.nn.Module):
     share ``2**log2_table`` rows by hashing.
 
     Where the same points are looked up again and again (training pixels), compute :meth:`corners` once and
-    call :meth:`lookup` on rows of it: that leaves a sixth of the cost of :meth:`forward`.
+    call :meth:`lookup` on rows of it: that leaves about half of the cost of a training step.
 
     Args:
         levels, features: L and F; Raghavan 2023 (section 5) has 32 and 2.

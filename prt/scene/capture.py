@@ -110,6 +110,7 @@ def capture(mi_scene, view: View) -> GBuffer:
     if mi.variant().startswith("scalar"):
         raise PrtError("the G-buffer needs a vectorised Mitsuba variant: pip install karellen-llvm-core")
     si = _first_opaque_hit(mi_scene, camera_rays(view))
+    dr.eval(si)  # once: the gathers below would otherwise trace the rays again
     hit = torch.from_numpy(np.array(si.is_valid()))
     count = int(hit.sum())
     if count == 0:
@@ -186,6 +187,8 @@ def _towards_viewer(shading, geometric, wo) -> Float[torch.Tensor, "N 3"]:
     a viewer who does see the front, and flipping it there would turn it inside out. It is then bent just
     until it is perpendicular to ``wo``.
     """
+    # vertex normals of degenerate triangles are NaN
+    shading = torch.where(shading.isfinite().all(1, keepdim=True), shading, geometric)
     sides = (geometric * wo).sum(1) * (geometric * shading).sum(1)
     normal = torch.where((sides < 0)[:, None], -shading, shading)
     behind = (normal * wo).sum(1, keepdim=True).clamp(max=0.0)

@@ -106,6 +106,11 @@ def to_mesh(name: str, data: MeshData, bsdf: dict[str, Any]) -> Any:
     return mesh
 
 
+def _power(base: np.ndarray, exponent: float) -> np.ndarray:
+    """The signed power of superellipses."""
+    return np.sign(base) * np.abs(base) ** exponent
+
+
 # --- surfaces ---------------------------------------------------------------------------------------------------
 
 
@@ -117,64 +122,87 @@ def sphere_mesh(radius: float, columns: int = 64, rows: int = 32) -> MeshData:
 def superquadric_mesh(radius: float, east: float, north: float, columns: int = 64, rows: int = 48) -> MeshData:
     """A superellipsoid (Barr 1981): exponents 1, 1 give a sphere, smaller ones a rounded box."""
 
-    def power(base: np.ndarray, exponent: float) -> np.ndarray:
-        return np.sign(base) * np.abs(base) ** exponent
-
     def surface(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         around, above = 2.0 * np.pi * u, np.pi * (v - 0.5)
         # cos(pi / 2) is 6e-17 in floating point; raised to a small power it would open a hole at the pole
-        flat = np.where((v <= 0.0) | (v >= 1.0), 0.0, power(np.cos(above), north))
+        flat = np.where((v <= 0.0) | (v >= 1.0), 0.0, _power(np.cos(above), north))
         return radius * np.stack(
-            [flat * power(np.sin(around), east), power(np.sin(above), north), flat * power(np.cos(around), east)], -1
+            [flat * _power(np.sin(around), east), _power(np.sin(above), north), flat * _power(np.cos(around), east)], -1
         )
 
     return parametric(surface, columns, rows)
 
 
-def torus_mesh(radius: float, tube: float | tuple[float, float], columns: int = 96, rows: int = 32) -> MeshData:
-    """A torus about the y axis; ``tube`` is its radius, or (half width, half height) of an elliptic tube."""
+def torus_mesh(
+    radius: float, tube: float | tuple[float, float], columns: int = 96, rows: int = 32, bulge: float = 1.0
+) -> MeshData:
+    """A torus about the y axis.
+
+    Args:
+        tube: its radius, or (half width, half height) of an elliptic tube.
+        bulge: exponent of the superelliptic cross-section: 1 an ellipse, towards 0 a rectangle with straight walls.
+    """
     wide, tall = tube if isinstance(tube, tuple) else (tube, tube)
 
     def surface(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         around, about = 2.0 * np.pi * u, 2.0 * np.pi * v
-        distance = radius + wide * np.cos(about)
-        return np.stack([distance * np.sin(around), tall * np.sin(about), distance * np.cos(around)], -1)
+        distance = radius + wide * _power(np.cos(about), bulge)
+        return np.stack([distance * np.sin(around), tall * _power(np.sin(about), bulge), distance * np.cos(around)], -1)
 
     return parametric(surface, columns, rows, closed_v=True)
 
 
-def twisted_column_mesh(
-    radius: float, height: float, lobes: int = 4, depth: float = 0.2, turns: float = 0.4,
-    columns: int = 96, rows: int = 48,
+def lathe_mesh(
+    profile: Sequence[tuple[float, float]],
+    radius: float,
+    height: float,
+    lobes: int = 0,
+    depth: float = 0.0,
+    turns: float = 0.0,
+    columns: int = 96,
+    rows: int = 48,
 ) -> MeshData:
-    """A column with a lobed cross-section that twists by ``turns`` turns and closes in rounded ends."""
+    """A profile turned about the y axis, from the axis at the bottom to the axis at the top.
+
+    Args:
+        profile: control points (radius, height) of a uniform cubic B-spline, in shares of ``radius`` and ``height``;
+            the first and last lie on the axis and are met exactly, with a horizontal tangent.
+        lobes, depth: flutes of the cross-section: how many, and how deep as a share of the radius.
+        turns: by how many turns the flutes twist from bottom to top.
+    """
+    points = np.asarray(profile, dtype=np.float64)
+    mirror = np.array([-1.0, 1.0])
+    points = np.concatenate([points[1:2] * mirror, points, points[-2:-1] * mirror])
+    spans = len(points) - 3
+
+    def curve(v: np.ndarray) -> np.ndarray:
+        first = np.clip(np.floor(v * spans).astype(int), 0, spans - 1)
+        t = (v * spans - first)[..., None]
+        weights = (1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3
+        return sum(weight * points[first + k] for k, weight in enumerate(weights)) / 6.0
 
     def surface(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        around = 2.0 * np.pi * u
-        # superelliptic profile: nearly straight sides, round ends
-        slope = np.pi * (v - 0.5)
-        profile = np.where((v <= 0.0) | (v >= 1.0), 0.0, np.abs(np.cos(slope)) ** 0.45)
-        rise = np.sign(np.sin(slope)) * np.abs(np.sin(slope)) ** 0.9
-        fluted = 1.0 + depth * np.cos(lobes * (around + 2.0 * np.pi * turns * v))
-        distance = radius * profile * fluted / (1.0 + depth)
-        return np.stack([distance * np.sin(around), 0.5 * height * rise, distance * np.cos(around)], -1)
+        around, outline = 2.0 * np.pi * u, curve(v)
+        fluted = 1.0 - depth * (0.5 - 0.5 * np.cos(lobes * (around + 2.0 * np.pi * turns * outline[..., 1])))
+        distance = radius * outline[..., 0] * fluted
+        return np.stack([distance * np.sin(around), height * outline[..., 1], distance * np.cos(around)], -1)
 
     return parametric(surface, columns, rows)
 
 
-def vase_mesh(radius: float, height: float, columns: int = 80, rows: int = 64) -> MeshData:
-    """A closed, bellied vase with a narrow neck: a smooth surface of revolution."""
+def twisted_column_mesh(radius: float, height: float, lobes: int = 5, depth: float = 0.3, turns: float = 0.35) -> MeshData:
+    """A fluted column with a waist that twists by ``turns`` turns on its way up; it stands on y = 0."""
+    profile = [(0, 0), (0.7, 0), (1, 0), (1.02, 0.08), (0.86, 0.3), (0.72, 0.6), (0.86, 0.88), (0.98, 1), (0.6, 1.02), (0, 1)]
+    return lathe_mesh(profile, radius, height, lobes, depth, turns)
 
-    def surface(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        around = 2.0 * np.pi * u
-        ends = np.where((v <= 0.0) | (v >= 1.0), 0.0, np.abs(np.sin(np.pi * v)) ** 0.4)
-        profile = ends * (0.55 + 0.45 * np.cos(2.0 * np.pi * (v - 0.36) * 1.05))
-        rise = v
-        return np.stack(
-            [radius * profile * np.sin(around), height * rise, radius * profile * np.cos(around)], -1
-        )
 
-    return parametric(surface, columns, rows)
+def vase_mesh(radius: float, height: float) -> MeshData:
+    """A bellied vase with a narrow neck and a dished top; it stands on y = 0."""
+    profile = [
+        (0, 0), (0.45, 0), (0.58, 0), (0.7, 0.06), (1.12, 0.3), (0.98, 0.52), (0.4, 0.68), (0.27, 0.85), (0.42, 0.98),
+        (0.56, 1.03), (0.36, 1.02), (0.22, 0.92), (0.15, 0.86), (0, 0.85),
+    ]  # fmt: skip
+    return lathe_mesh(profile, radius, height)
 
 
 # --- pieces that several scenes share ---------------------------------------------------------------------------
@@ -236,10 +264,11 @@ def diffuse(color: Sequence[float]) -> dict[str, Any]:
 
 def ground_description(
     size: float = 12.0,
-    color: Sequence[float] = (0.32, 0.30, 0.27),
+    color: Sequence[float] = (0.26, 0.25, 0.24),
     roughness: float = 0.3,
-    specular: float = 0.8,
+    specular: float = 1.0,
     height: float = 0.0,
+    metallic: float = 0.35,
 ) -> dict[str, Any]:
     """A glossy square of side ``size`` at y = ``height``, facing up, as a Mitsuba shape dict."""
     mi = mitsuba()
@@ -247,16 +276,16 @@ def ground_description(
     return {
         "type": "rectangle",
         "to_world": transform().translate([0, height, 0]).rotate([1, 0, 0], -90).scale([size / 2, size / 2, 1]),
-        "bsdf": twosided(glossy(color, roughness, specular)),
+        "bsdf": twosided(glossy(color, roughness, specular, metallic)),
     }
 
 
 def ring_description(
     center: Sequence[float] = (0.0, 0.0, 0.0),
     radius: float = 0.6,
-    width: float = 0.05,
-    height: float = 0.2,
-    roughness: float = 0.35,
+    width: float = 0.06,
+    height: float = 0.28,
+    roughness: float = 0.32,
     metal: str = "Au",
 ) -> Any:
     """A metal ring lying on the ground, whose polished inner side casts a caustic onto it.
@@ -264,12 +293,13 @@ def ring_description(
     Args:
         center: of its footprint; ``center[1]`` is the height of the ground.
         radius: of the middle of the band, world units.
-        width, height: of the band, world units; the band is elliptic, so its normals are smooth.
+        width, height: of the band, world units; its section is superelliptic, so its walls stand
+            straight and its normals are smooth.
         roughness: sigma = sqrt(GGX alpha).
         metal: Au, Ag, Cu or Al.
 
     Returns:
         A ``mi.Mesh`` (any place in a scene description takes it like a dict).
     """
-    band = torus_mesh(radius, (width / 2, height / 2), columns=128, rows=32).on_ground().moved(to=center)
+    band = torus_mesh(radius, (width / 2, height / 2), columns=128, rows=32, bulge=0.6).on_ground().moved(to=center)
     return to_mesh("ring", band, twosided(rough_metal(metal, roughness)))

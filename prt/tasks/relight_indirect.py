@@ -11,8 +11,7 @@ from torch import Tensor
 
 from prt.cache import cached
 from prt.errors import PrtError
-from prt.metrics.image import psnr
-from prt.metrics.tonemap import exposure_of
+from prt.metrics.registry import evaluate
 from prt.progress import track
 from prt.scene.capture import capture
 from prt.scene.gbuffer import GBuffer
@@ -21,7 +20,7 @@ from prt.scene.view import View
 from prt.tasks import importance
 from prt.trace.denoise import denoise
 from prt.trace.record import record
-from prt.trace.reference import render
+from prt.trace.reference import noise_floor, render
 from prt.trace.transport import Transport
 
 #: raise when the content of a cache changes for equal settings
@@ -50,7 +49,8 @@ class TestItem:
 
     Attributes:
         references: component to (H, W, 3) linear radiance, no background.
-        noise_floor: component to the PSNR in dB between two independent references of half the samples.
+        noise_floor: component to the PSNR in dB that the reference has against the truth, estimated from its two
+            independent halves; what the denoiser changes in both alike is not seen by it.
         direct: direct light rendered with another seed, added to an indirect prediction to give the full image.
     """
 
@@ -195,7 +195,7 @@ class RelightIndirect:
         found = cached("reference", REFERENCE_VERSION, settings, lambda: self.render_references(view, lighting))
         gbuffer = GBuffer(**{name: found[f"gbuffer.{name}"] for name in (*GBuffer.FIELDS, "hit")}, view=view)
         references = {name: (found[f"{name}.0"] + found[f"{name}.1"]) / 2 for name in ("full", "indirect", "direct")}
-        floor = {name: psnr(found[f"{name}.0"], found[f"{name}.1"], exposure_of(references[name])) for name in references}
+        floor = {name: noise_floor(found[f"{name}.0"], found[f"{name}.1"], psnr) for name in references}
         return TestItem(split, view_name, lighting_name, lighting, gbuffer, references, floor, found["direct.other"])
 
     def render_references(self, view: View, lighting: Tensor) -> dict[str, Tensor]:
@@ -225,12 +225,16 @@ class RelightIndirect:
         The truncated truth is the reference plus the recorded transport of the lighting's lost part.
         """
         reference = item.references["indirect"]
-        exposure = exposure_of(reference)
         parts = {"noise": item.noise_floor["indirect"]}
         if hasattr(method, "truncated") and item.gbuffer.view is not None:
             _, transport = self.recorded(item.gbuffer.view, self.split_spp, 9000 + self.seed)
             lost = (item.lighting - method.truncated(item.lighting)).reshape(1, -1, 3)
             missing = transport.component("indirect").relight(lost)[0].view(reference.shape)
-            parts["truncation"] = psnr(reference - missing, reference, exposure)
-            parts["fit"] = psnr(image, reference - missing, exposure)
+            parts["truncation"] = psnr(reference - missing, reference)
+            parts["fit"] = psnr(image, reference - missing)
         return parts
+
+
+def psnr(image: Tensor, reference: Tensor) -> float:
+    """PSNR in dB as every table here has it: sRGB after the reference's exposure."""
+    return evaluate(image, reference, ["psnr"])["psnr"]

@@ -1,0 +1,242 @@
+"""The picture behind the table: reference, each method, and where each is wrong.
+
+Every row is one test image (a scene under a lighting), shown as the metrics saw it: exposed after its reference,
+clipped and sRGB encoded, with the error map below each method and its PSNR under that.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from prt.bench.exr import read_exr
+from prt.bench.layout import Layout
+from prt.bench.results import DENOISED, Cell, join_variant
+from prt.errors import PrtError
+from prt.metrics.tonemap import exposure_of, to_srgb
+
+Image = Float[np.ndarray, "H W 3"]
+#: (cell, split, view, lighting) -> reference images by component, linear
+References = Callable[[Cell, str, str, str], dict[str, Image]]
+#: inches a picture takes on the page
+SIDE = 1.75
+#: the end of the error maps' scale, in displayed values (0 to 1)
+ERROR_END = 0.25
+CROP_COLOURS = ["#E69F00", "#56B4E9"]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One test image and what every column shows of it."""
+
+    scene: str
+    split: str
+    view: str
+    lighting: str
+    component: str
+    exposure: float
+    reference: Image  #: sRGB in [0, 1]
+    pictures: dict[str, Image]  #: column label -> sRGB in [0, 1]
+    psnr: dict[str, float]
+    crops: list[list[float]]  #: x, y, width, height as fractions of the picture
+
+
+def gather(
+    cells: list[Cell], images: pd.DataFrame, layout: Layout, settings: dict, references: References
+) -> tuple[list[Row], list[str]]:
+    """The rows of the figure, and notes of what could not be shown and why.
+
+    Args:
+        settings: ``rows``, a list of {scene, split, view, lighting, component, crops}, of which only ``scene``
+            must be given (by default every scene); view and lighting are names or places in the list of tests.
+            ``component`` (``indirect``), ``split`` (the first column's) and ``denoised`` (true where there are
+            denoised images) hold for all rows.
+    """
+    rows, notes = [], []
+    wanted = settings.get("rows") or [{"scene": scene} for scene in layout.scenes]
+    for entry in wanted:
+        entry = {"component": "indirect", "split": layout.splits[0], **settings, **entry}
+        scene, split = entry["scene"], entry["split"]
+        tests = images[(images["scene"] == scene) & (images["split"] == split)]
+        if scene not in layout.scenes or not len(tests):
+            notes.append(f"no picture of {layout.label(scene)}: no finished run has {split} views of it")
+            continue
+        try:
+            view = _choose(tests["view"], entry.get("view", 0), f"figure: {scene}: view")
+            lit = tests[tests["view"] == view]["lighting"]
+            lighting = _choose(lit, entry.get("lighting", 0), f"figure: {scene}: lighting")
+            rows.append(_row(cells, images, layout, entry, view, lighting, references))
+        except PrtError as error:
+            notes.append(f"no picture of {layout.label(scene)}: {error}")
+    return rows, notes
+
+
+def _choose(names: pd.Series, wanted: str | int, what: str) -> str:
+    known = list(dict.fromkeys(names))
+    if isinstance(wanted, int) and -len(known) <= wanted < len(known):
+        return known[wanted]
+    if str(wanted) not in known:
+        raise PrtError(f"{what} {wanted!r} is not among {', '.join(known)}; choose one, or a place from 0")
+    return str(wanted)
+
+
+def _row(cells, images, layout: Layout, entry: dict, view: str, lighting: str, references: References) -> Row:
+    scene, split, component = entry["scene"], entry["split"], entry["component"]
+    pictures, psnr, reference, exposure = {}, {}, None, 1.0
+    here = images[
+        (images["scene"] == scene) & (images["split"] == split) & (images["view"] == view)
+        & (images["lighting"] == lighting) & (images["component"] == component) & (images["metric"] == "psnr")
+    ]  # fmt: skip
+    for method, variant in layout.methods:
+        cell = next(
+            (c for c in cells if (c.scene, c.method, c.variant) == (scene, method, variant) and c.done), None
+        )
+        if cell is None:
+            continue
+        denoised = entry.get("denoised", True)
+        path = cell.run.image_file(split, view, lighting, component, denoised)
+        if denoised and not path.exists():
+            denoised, path = False, cell.run.image_file(split, view, lighting, component, False)
+        linear = np.nan_to_num(read_exr(path).numpy(), nan=0.0, posinf=0.0, neginf=0.0)
+        if reference is None:
+            truth = np.asarray(references(cell, split, view, lighting)[component])
+            exposure = exposure_of(truth)
+            reference = to_srgb(truth, exposure)
+        label = layout.method_label(method, variant)
+        pictures[label] = to_srgb(linear, exposure)
+        own = here[
+            (here["method"] == method)
+            & (here["seed"] == cell.seed)
+            & (here["variant"] == join_variant(variant, DENOISED if denoised else ""))
+        ]
+        psnr[label] = float(own["value"].iloc[0]) if len(own) else float("nan")
+    if reference is None:
+        raise PrtError("no finished run has images of it")
+    return Row(
+        scene, split, view, lighting, component, exposure, reference, pictures, psnr, entry.get("crops") or []
+    )
+
+
+def draw(rows: list[Row], layout: Layout) -> Figure | None:
+    """The figure, or None without rows."""
+    import matplotlib
+
+    if not rows:
+        return None
+    labels = [layout.method_label(m, v) for m, v in layout.methods]
+    labels = [label for label in labels if any(label in row.pictures for row in rows)]
+    heights = []  # of the bands: pictures, error maps with PSNR, then the enlarged crops
+    for row in rows:
+        aspect = row.reference.shape[0] / row.reference.shape[1]
+        heights.append([aspect, aspect + 0.13, *[0.5 * aspect] * bool(row.crops), 0.16])
+    flat = [h for band in heights for h in band]
+    width, height = (1 + len(labels)) * SIDE + 0.75, sum(flat) * SIDE + 0.55
+    with matplotlib.rc_context({"font.family": "DejaVu Sans", "font.size": 8.5}):
+        figure = Figure(figsize=(width, height))
+        grid = figure.add_gridspec(
+            len(flat), 1 + len(labels), height_ratios=flat, wspace=0.025, hspace=0.03,
+            left=0.3 / width, right=1 - 0.45 / width, top=1 - 0.27 / height, bottom=0.25 / height,
+        )  # fmt: skip
+        at = 0
+        for number, (row, bands) in enumerate(zip(rows, heights, strict=True)):
+            _draw_row(figure, grid, at, row, labels, layout, first=number == 0)
+            at += len(bands)
+        figure.text(
+            0.3 / width, 0.08 / height,
+            f"Error maps: mean over channels of |method - reference| in displayed (sRGB) values, 0 to {ERROR_END:g}. "
+            "Exposure: 95th percentile of the reference to 0.8 linear.",
+            fontsize=6.5, color="#666666",
+        )  # fmt: skip
+    return figure
+
+
+def _draw_row(
+    figure: Figure, grid, at: int, row: Row, labels: list[str], layout: Layout, first: bool
+) -> None:
+    top = figure.add_subplot(grid[at, 0])
+    _show(top, row.reference)
+    top.set_ylabel(f"{layout.label(row.scene)}", fontweight="bold", fontsize=9, labelpad=4)
+    if first:
+        top.set_title(f"Reference ({row.component})", fontsize=9, pad=4)
+    below = figure.add_subplot(grid[at + 1, 0])
+    below.axis("off")
+    _facts(below, row)
+    columns = [top]
+    for i, label in enumerate(labels, start=1):
+        picture, errors = figure.add_subplot(grid[at, i]), figure.add_subplot(grid[at + 1, i])
+        if first:
+            picture.set_title(label, fontsize=9, pad=4)
+        columns.append(picture)
+        if label not in row.pictures:
+            _show(picture, np.ones_like(row.reference))
+            picture.text(
+                0.5,
+                0.5,
+                "no finished run",
+                ha="center",
+                va="center",
+                transform=picture.transAxes,
+                color="#999",
+            )
+            errors.axis("off")
+            continue
+        _show(picture, row.pictures[label])
+        error = np.abs(row.pictures[label] - row.reference).mean(axis=-1)
+        errors.imshow(error, cmap="magma", vmin=0, vmax=ERROR_END, interpolation="nearest")
+        errors.set_anchor("N")
+        errors.set_xticks([]), errors.set_yticks([])
+        best = max(v for v in row.psnr.values() if v == v) if any(v == v for v in row.psnr.values()) else None
+        weight = "bold" if row.psnr[label] == best else "normal"
+        errors.set_xlabel(f"{row.psnr[label]:.2f} dB", fontsize=8.5, labelpad=2, fontweight=weight)
+    _enlarge(figure, grid, at + 2, row, columns, labels)
+
+
+def _show(axis: Axes, picture: Image) -> None:
+    axis.imshow(picture, vmin=0, vmax=1, interpolation="nearest")
+    axis.set_xticks([]), axis.set_yticks([])
+    for spine in axis.spines.values():
+        spine.set_visible(False)
+
+
+def _facts(axis: Axes, row: Row) -> None:
+    """Under the reference: which image this is, its exposure, and the error maps' colour bar."""
+    facts = [f"view: {row.view} ({row.split})", f"light: {row.lighting}", f"exposure: × {row.exposure:.3g}"]
+    for i, line in enumerate(facts):
+        text = line if len(line) <= 30 else line[:29] + "…"
+        axis.text(
+            0.02, 0.93 - 0.11 * i, text, fontsize=7, color="#444444", transform=axis.transAxes, va="top"
+        )
+    bar = axis.inset_axes([0.02, 0.24, 0.9, 0.07])
+    bar.imshow(np.linspace(0, 1, 256)[None], cmap="magma", aspect="auto", extent=(0, ERROR_END, 0, 1))
+    bar.set_yticks([])
+    bar.set_xticks([0, ERROR_END / 2, ERROR_END])
+    bar.tick_params(labelsize=6.5, length=2, pad=1.5, color="#888888")
+    bar.set_title("error", fontsize=7, pad=2, color="#444444")
+
+
+def _enlarge(figure: Figure, grid, at: int, row: Row, columns: list[Axes], labels: list[str]) -> None:
+    """Crops framed in the pictures and enlarged below them."""
+    pictures = [row.reference, *(row.pictures.get(label) for label in labels)]
+    for column, (axis, picture) in enumerate(zip(columns, pictures, strict=True)):
+        if picture is None or not row.crops:
+            continue
+        spaces = grid[at, column].subgridspec(1, 2, wspace=0.04)
+        for number, (crop, colour) in enumerate(zip(row.crops, CROP_COLOURS, strict=False)):
+            (h, w), (x, y, cw, ch) = picture.shape[:2], crop
+            x0, y0, x1, y1 = round(x * w), round(y * h), round((x + cw) * w), round((y + ch) * h)
+            axis.add_patch(Rectangle((x0 - 0.5, y0 - 0.5), x1 - x0, y1 - y0, fill=False, ec=colour, lw=1.1))
+            inset = figure.add_subplot(spaces[0, number])
+            _show(inset, picture[y0:y1, x0:x1])
+            for spine in inset.spines.values():
+                spine.set(visible=True, edgecolor=colour, linewidth=1.4)
+
+
+def write(figure: Figure, folder: Path) -> None:
+    """``figure.png`` at display size."""
+    figure.savefig(folder / "figure.png", dpi=150, metadata={"Software": None})

@@ -1,0 +1,262 @@
+"""The report folder of a table: results.csv first, then all that is made from it and from the run folders."""
+
+import textwrap
+from typing import TYPE_CHECKING
+
+import pandas as pd
+from omegaconf import OmegaConf
+from rich.console import Console
+
+from prt.bench import chart, figure, layout
+from prt.bench.layout import Layout, Sheet
+from prt.bench.results import (
+    NOISE_FLOOR,
+    Cell,
+    read_images,
+    read_published,
+    read_results,
+    summarise,
+    write_results,
+)
+from prt.bench.verdicts import SCOPES, Evidence, judge
+from prt.cache import write_atomically
+from prt.metrics.registry import METRICS
+
+if TYPE_CHECKING:
+    from prt.bench.table import Spec
+
+SIGNS = {"holds": "✔ holds", "fails": "✘ fails", "undecided": "? undecided"}
+
+
+def write_report(
+    spec: "Spec",
+    plan: Layout,
+    cells: list[Cell],
+    failed: dict[Cell, str] | None = None,
+    references: figure.References | None = None,
+    console: Console | None = None,
+) -> None:
+    """Write every file of ``spec.report`` and print the table.
+
+    Args:
+        failed: reasons of runs that failed without leaving a folder; the folders tell the others.
+        references: reference images for the figure; without them there is no figure.
+
+    Raises:
+        PrtError: for damaged run folders, a wrong published file, or a folder that cannot be written.
+    """
+    folder = spec.report
+    write_atomically(
+        folder / "results.csv", b""
+    )  # fails here, before any work, where the folder cannot be written
+    images = read_images(cells)
+    published = read_published(spec.published) if spec.published else None
+    write_results(summarise(cells, images, published), folder / "results.csv")
+    results = read_results(folder / "results.csv")
+    reasons = {}
+    for cell in cells:
+        if not cell.done:
+            reasons[cell.scene, cell.method, cell.variant] = (failed or {}).get(cell) or cell.reason
+
+    sheets = make_sheets(spec, plan, results, reasons)
+    text = "\n".join([f"# {spec.title}\n", *map(layout.to_markdown, sheets)])
+    write_atomically(folder / "table.md", text.encode())
+    write_atomically(folder / "table.tex", "\n".join(map(layout.to_latex, sheets)).encode())
+
+    by_method = {(scene, method): reason for (scene, method, _), reason in reasons.items()}
+    verdicts = judge(spec.claims, Evidence(images, results, plan.scenes, by_method))
+    text = verdicts.to_csv(index=False, float_format="%.6g", lineterminator="\n")
+    write_atomically(folder / "claims.csv", text.encode())
+
+    notes = draw_pictures(spec, plan, cells, images, results, references)
+    write_atomically(
+        folder / "report.md", describe(spec, plan, cells, results, verdicts, reasons, sheets, notes).encode()
+    )
+
+    console = console or Console()
+    # a pipe has no width; a table cut to 80 columns cannot be read
+    wide = console if console.is_terminal else Console(file=console.file, width=200)
+    for sheet in sheets[:1] + [s for s in sheets if s.title == layout.COST_TITLE]:
+        wide.print(layout.to_rich(sheet))
+    for row in verdicts[verdicts["scene"].isin(SCOPES.values())].itertuples() if len(verdicts) else ():
+        console.print(f"{SIGNS[row.verdict]}: {row.claim} ({row.note})", markup=False, highlight=False)
+    console.print(f"report: {folder / 'report.md'}", soft_wrap=True, markup=False, highlight=False)
+
+
+def make_sheets(spec: "Spec", plan: Layout, results: pd.DataFrame, reasons: dict) -> list[Sheet]:
+    """All sheets of table.md: measured, intervals, costs, error split, and apart from them the published one."""
+    budgets = sorted({b for b in results.loc[results["n"].notna(), "budget"]})
+    devices = sorted({d for d in results.loc[results["n"].notna(), "device"] if d})
+    where = f"Measured by this project (budget {', '.join(budgets) or 'unknown'}; {'; '.join(devices) or 'no runs yet'})"
+    sheets = [layout.quality_sheet(results, plan, "value", where, reasons)]
+    sheets.append(layout.quality_sheet(results, plan, "half", "Half width of the 95 % interval of each mean"))
+    sheets.append(layout.cost_sheet(results, plan))
+    sheets.append(layout.error_sheet(results, plan))
+    if spec.published:
+        sheets.append(layout.quality_sheet(results, plan, "published", layout.PUBLISHED_TITLE))
+    return [sheet for i, sheet in enumerate(sheets) if sheet.rows or i == 0]
+
+
+def draw_pictures(spec, plan, cells, images, results, references) -> list[str]:
+    """Write the chart and the figure; returns notes of what is missing in them, and removes pictures of old."""
+    for name in ("chart.svg", "chart.png", "figure.png"):
+        (spec.report / name).unlink(missing_ok=True)
+    notes = []
+    drawn = chart.draw(results, plan, spec.chart, chart_note(cells))
+    if drawn is None:
+        notes.append("no chart: no finished run has both of its figures")
+    else:
+        chart.write(drawn, spec.report)
+    if references is not None and spec.figure is not None:
+        rows, missing = figure.gather(cells, images, plan, spec.figure, references)
+        notes += missing
+        picture = figure.draw(rows, plan)
+        if picture is not None:
+            figure.write(picture, spec.report)
+    return notes
+
+
+def chart_note(cells: list[Cell]) -> str:
+    """Where the chart's times were taken."""
+    devices = list(dict.fromkeys(cell.device for cell in cells if cell.done and cell.device))
+    pixels = sorted({cell.run.timing().get("pixels") for cell in cells if cell.done} - {None})
+    shown = f"; {', '.join(f'{p:,}' for p in pixels)} shaded pixels a frame" if 0 < len(pixels) <= 3 else ""
+    return (
+        f"Times on {'; '.join(devices)}{shown}. Bars: 95 % interval (quality), 95th percentile (time)."
+        if devices
+        else ""
+    )
+
+
+def describe(spec, plan: Layout, cells, results, verdicts, reasons, sheets, notes) -> str:
+    """report.md: what was run where, what came out, what is missing and why."""
+    done = [cell for cell in cells if cell.done]
+    parts = [f"# {spec.title}", spec.about.strip()] if spec.about else [f"# {spec.title}"]
+    parts.append(f"Regenerate with `{spec.command}`. Every number comes from [results.csv](results.csv).")
+    folder = spec.report
+    if (folder / "figure.png").exists():
+        parts.append("![Reference, methods and error maps](figure.png)")
+    if (folder / "chart.svg").exists():
+        parts.append("![Speed against accuracy](chart.svg)")
+    parts += [
+        layout.to_markdown(sheets[0]).strip(),
+        "More tables: [table.md](table.md), [table.tex](table.tex).",
+    ]
+    if len(verdicts):
+        parts += ["## Claims", claims_text(verdicts)]
+    parts += ["## How it was run", how(done) if done else "No run has finished yet."]
+    costs = [s for s in sheets if s.title in (layout.COST_TITLE, layout.ERROR_TITLE)]
+    parts += [layout.to_markdown(sheet).strip() for sheet in costs]
+    parts += ["## Noise floor of the references", floor_text(results, plan)]
+    parts += ["## What is missing", missing_text(plan, results, reasons, notes)]
+    parts += ["## How figures are defined", definitions(plan)]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def claims_text(verdicts: pd.DataFrame) -> str:
+    """Claims with their verdicts over all scenes, then the figures scene by scene."""
+    overall = verdicts[verdicts["scene"].isin(SCOPES.values())]
+    lines = [
+        "A claim holds (fails) on a scene where the whole 95 % interval of the difference lies on its (the other) side; "
+        "otherwise it is undecided. Differences are left minus right; `>` means better. Details: [claims.csv](claims.csv).",
+        "", "| claim | verdict | scenes |", "|---|---|---|",
+    ]  # fmt: skip
+    lines += [f"| `{_cell(r.claim)}` | {SIGNS[r.verdict]} | {r.note} |" for r in overall.itertuples()]
+    lines += [
+        "",
+        "| claim | scene | verdict | difference [95 % interval] | images | note |",
+        "|---|---|---|---:|---:|---|",
+    ]
+    for r in verdicts[~verdicts["scene"].isin(SCOPES.values())].itertuples():
+        known = r.difference == r.difference and r.difference is not None
+        figures = f"{r.difference:.3g} [{r.lo:.3g}, {r.hi:.3g}]" if known else "–"
+        count = f"{int(r.n)}" if r.n == r.n and r.n is not None else "–"
+        lines.append(
+            f"| `{_cell(r.claim)}` | {r.scene} | {SIGNS[r.verdict]} | {figures} | {count} | {_cell(r.note)} |"
+        )
+    return "\n".join(lines)
+
+
+def _cell(text: str) -> str:
+    return str(text).replace("|", "\\|")
+
+
+def how(done: list[Cell]) -> str:
+    """Machine, code, and the settings that the finished runs share."""
+    seen = [cell.run.provenance() for cell in done]
+
+    def every(key: str) -> str:
+        return ", ".join(
+            dict.fromkeys(str(p[key])[:12] if key == "commit" else str(p[key]) for p in seen if p.get(key))
+        )
+
+    lines = [
+        f"- runs: {len(done)}, seeds {', '.join(map(str, sorted({c.seed for c in done})))}, "
+        f"budget {', '.join(dict.fromkeys(c.budget for c in done))}",
+        f"- device: {'; '.join(dict.fromkeys(c.device for c in done if c.device)) or 'not recorded'}",
+        f"- system: {every('system') or 'not recorded'}, Python {every('python') or 'not recorded'}",
+        f"- code: commit {every('commit') or 'not recorded'}"
+        + (" with uncommitted changes" if any(p.get("dirty") for p in seen) else ""),
+    ]
+    packages = seen[0].get("packages") or {}
+    if packages:
+        lines.append(
+            "- packages: " + ", ".join(f"{name} {version}" for name, version in packages.items() if version)
+        )
+    settings = [OmegaConf.to_container(cell.run.config(), resolve=True) for cell in done]
+    for group in ("task", "lighting"):
+        values = [s.get(group) or {} for s in settings]
+        shared = {
+            k: v for k, v in values[0].items() if all(o.get(k) == v for o in values) and not k.startswith("_")
+        }
+        text = ", ".join(f"{key} {value}" for key, value in shared.items() if not isinstance(value, dict))
+        lines += [f"- {group}: {text}"] if text else []
+    return "\n".join(lines)
+
+
+def floor_text(results: pd.DataFrame, plan: Layout) -> str:
+    """PSNR of the references against a second seed of themselves."""
+    floors = results[(results["metric"] == NOISE_FLOOR) & results["value"].notna()]
+    if not len(floors):
+        return "Not measured by these runs."
+    lines = [
+        "A reference judges only figures at least 10 dB below its own noise floor (PSNR between two seeds, dB).",
+        "",
+    ]
+    for (scene, split, component), rows in floors.groupby(["scene", "split", "component"], sort=False):
+        lines.append(f"- {plan.label(scene)}, {split}, {component}: {rows['value'].iloc[0]:.1f}")
+    return "\n".join(lines)
+
+
+def missing_text(plan: Layout, results: pd.DataFrame, reasons: dict, notes: list[str]) -> str:
+    """What has no figures, each with its reason."""
+    lines = [
+        f"- {plan.method_label(m, v)} on {plan.label(s)}: {reason}" for (s, m, v), reason in reasons.items()
+    ]
+    lines += [f"- {note}" for note in notes]
+    measured = results[results["n"].notna() & results["value"].isna()]
+    for metric in dict.fromkeys(measured["metric"]):
+        count, why = (measured["metric"] == metric).sum(), ""
+        if metric == "lpips":
+            from prt.metrics.lpips import lpips_unavailable
+
+            why = f" ({lpips_unavailable()})" if lpips_unavailable() else ""
+        lines.append(
+            f"- {metric}: {count} means are not available, for at least one image had no figure{why}"
+        )
+    only_paper = results[results["n"].isna() & results["published"].notna()]
+    if len(only_paper):
+        pairs = list(dict.fromkeys(zip(only_paper["scene"], only_paper["method"], strict=True)))
+        names = ", ".join(f"{scene} {method}" for scene, method in pairs)
+        lines.append(f"- {len(only_paper)} published figures have no measured one beside them: {names}")
+    return "\n".join(lines) or "Nothing."
+
+
+def definitions(plan: Layout) -> str:
+    """The metrics' own definitions."""
+    lines = [f"- {METRICS[m].label}: {METRICS[m].definition}" for m in plan.metrics]
+    lines.append(
+        "- Means are over test images (views times lightings, unseen in fitting), each first averaged over seeds; "
+        "intervals count images of one view, or under one lighting, as one draw, whichever is wider."
+    )
+    return textwrap.dedent("\n".join(lines))

@@ -1,0 +1,174 @@
+"""One run: build what the configuration names, fit, evaluate, time, and leave a run folder behind.
+
+Every stage is skipped where its files are whole, so the same command resumes an interrupted run.
+"""
+
+import functools
+import hashlib
+import os
+import sys
+import time
+import traceback
+import warnings
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig
+
+from prt.bench import compose, provenance
+from prt.bench.evaluate import evaluate_run, time_run
+from prt.bench.fit_log import RunLog
+from prt.bench.run_folder import RunFolder, file_name, run_hash
+from prt.cache import write_atomically
+from prt.errors import PrtError
+
+
+def folder_of(cfg: DictConfig) -> RunFolder:
+    """Where the run of a composed configuration lies: ``<run.folder>/<task>/<scene>/<method>/<hash>``."""
+    names = [file_name(cfg.choice[group]) for group in ("task", "scene", "method")]
+    return RunFolder(Path(cfg.run.folder).expanduser().joinpath(*names, run_hash(compose.hashed_settings(cfg))))
+
+
+def run(cfg: DictConfig) -> RunFolder:
+    """Carry out a run, or go on with it, or skip it where it is done; returns its folder.
+
+    Args:
+        cfg: from :func:`prt.bench.compose.compose`.
+
+    Raises:
+        PrtError: for everything a user can mend. Mistakes in the configuration leave no folder behind; later
+            ones are also kept in the folder's ``FAILED``, and the next call tries again.
+    """
+    folder = folder_of(cfg)
+    if folder.done:
+        say(f"done already: {folder.path}")
+        return folder
+    task, method = build_task(cfg), compose.build(cfg, "method")
+    check_task(cfg, task, method)
+    with folder.lock():
+        if folder.done:  # by another process while this one waited or built
+            return folder
+        say(f"{'resume' if folder.state() != 'absent' else 'run'}: {folder.path}")
+        folder.begin(cfg, provenance.collect(cfg))
+        try:
+            carry_out(folder, cfg, task, method)
+        except Exception as error:
+            reason = str(error) if isinstance(error, PrtError) else f"{type(error).__name__}: {error}"
+            folder.fail(reason, traceback.format_exc())
+            raise
+    return folder
+
+
+def build_task(cfg: DictConfig) -> Any:
+    """The task with its scene and lighting."""
+    return compose.build(cfg, "task", scene=compose.build(cfg, "scene"), lighting=compose.build(cfg, "lighting"))
+
+
+def check_task(cfg: DictConfig, task: Any, method: Any) -> None:
+    """Refuse a method that cannot do the task, naming those that can."""
+    if task.name in method.tasks:
+        return
+    able = [name for name in compose.choices("method")
+            if task.name in getattr(compose.target_class("method", name), "tasks", ())]
+    raise PrtError(
+        f"method={cfg.choice.method} cannot do task={cfg.choice.task} (it can do {', '.join(sorted(method.tasks))}); "
+        f"methods that can: {', '.join(able) or 'none'}"
+    )
+
+
+def carry_out(folder: RunFolder, cfg: DictConfig, task: Any, method: Any) -> None:
+    """Fit, reload, evaluate, time, mark as done."""
+    device = str(cfg.device)
+    if not whole_checkpoint(folder):
+        fit(folder, cfg, task, method)
+    # what is judged is what was stored: a fresh method, read back from the file
+    fitted = compose.build(cfg, "method")
+    fitted.load(folder.checkpoint, task, device)
+    del method
+    evaluate_run(folder, cfg, task, fitted)
+    if "shade" not in folder.timing():
+        time_run(folder, cfg, task, fitted)
+    folder.finish()
+
+
+def fit(folder: RunFolder, cfg: DictConfig, task: Any, method: Any) -> None:
+    """Fit from the last kept state and store the model; the time of the data it asks for is kept apart."""
+    torch.manual_seed(cfg.seed)
+    baked = Baking(task)
+    with RunLog(folder, cfg.run.checkpoint_seconds, excluded=lambda: baked.seconds) as log:
+        method.fit(baked, log, int(cfg.seed), str(cfg.device))
+        seconds = log.seconds
+    earlier = folder.timing().get("bake", 0.0)
+    folder.add_timing(
+        fit=seconds, bake=earlier + baked.seconds, device=str(cfg.device), threads=torch.get_num_threads()
+    )
+    temporary = folder.checkpoint.with_suffix(".part")
+    method.save(temporary)
+    write_atomically(digest_file(folder), (digest(temporary) + "\n").encode())
+    os.replace(temporary, folder.checkpoint)
+
+
+class Baking:
+    """A task seen through a stopwatch: the seconds spent in it while a method fits are precomputation, not training."""
+
+    def __init__(self, task: Any):
+        self._task, self.seconds = task, 0.0
+
+    def __getattr__(self, name: str) -> Any:
+        value = self._clocked(lambda: getattr(self._task, name))
+        if not callable(value) or name == "scene":
+            return value
+
+        @functools.wraps(value)
+        def call(*arguments: Any, **settings: Any) -> Any:
+            return self._clocked(lambda: value(*arguments, **settings))
+
+        return call
+
+    def _clocked(self, work: Any) -> Any:
+        started = time.monotonic()
+        try:
+            return work()
+        finally:
+            self.seconds += time.monotonic() - started
+
+
+def digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def digest_file(folder: RunFolder) -> Path:
+    return folder.path / "checkpoint.sha256"
+
+
+def whole_checkpoint(folder: RunFolder) -> bool:
+    """Whether the fitted model is there and undamaged; a damaged one is dropped and fitted again."""
+    if not folder.checkpoint.exists():
+        return False
+    path = digest_file(folder)
+    if path.exists() and path.read_text().strip() == digest(folder.checkpoint):
+        return True
+    warnings.warn(f"{folder.checkpoint} is damaged and will be fitted again", stacklevel=2)
+    folder.checkpoint.unlink()
+    return False
+
+
+def summary(folder: RunFolder) -> str:
+    """A finished run in a few lines: mean PSNR per split and component, times, size."""
+    metrics, timing = folder.metrics(), folder.timing()
+    lines = []
+    for (split, component, denoised), rows in metrics[metrics.metric == "psnr"].groupby(
+        ["split", "component", "denoised"], sort=False
+    ):
+        lines.append(f"  psnr {component}{' denoised' if denoised else ''}, {split}: {rows.value.mean():.2f} dB "
+                     f"({len(rows)} images)")
+    times = [f"{name} {1e3 * timing[name]['median']:.3g} ms" for name in ("light", "shade") if name in timing]
+    if "fit" in timing:
+        times.append(f"fit {timing['fit']:.1f} s")
+    times.append(f"model {timing.get('bytes', 0) / 1e6:.3g} MB")
+    return "\n".join([*lines, "  " + ", ".join(times)])
+
+
+def say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

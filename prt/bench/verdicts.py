@@ -1,0 +1,172 @@
+"""Claims judged on finished runs: holds, fails or undecided, scene by scene, with the figures."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from prt.bench.claims import SPLITS, Claim, Term
+from prt.bench.results import NOISE_FLOOR, direction_of, image_interval, is_cost, over_seeds
+from prt.metrics.intervals import Interval
+
+VERDICT_COLUMNS = ["claim", "scene", "verdict", "metric", "difference", "lo", "hi", "n", "note"]
+#: the scene of a claim's last row, its verdict over all scenes
+SCOPES = {"every": "every scene", "most": "most scenes", "named": "named scenes"}
+#: a PSNR closer than this to the reference's own noise floor says nothing (dB)
+FLOOR_MARGIN = 10.0
+
+
+class _Missing(Exception):
+    """No figures for one side, with the reason."""
+
+
+@dataclass
+class Evidence:
+    """What claims are judged on."""
+
+    images: pd.DataFrame  #: per-image figures (:func:`prt.bench.results.read_images`)
+    results: pd.DataFrame  #: the tidy table, for costs and noise floors
+    scenes: list[str]  #: of the table's grid
+    reasons: dict[tuple[str, str], str] = field(
+        default_factory=dict
+    )  #: (scene, method) -> why it has no figures
+
+
+def judge(claims: list[Claim], evidence: Evidence) -> pd.DataFrame:
+    """One row per claim and scene (``difference``: left minus right, in the metric's unit) and one for all.
+
+    A claim holds on a scene where the whole 95 % interval lies on its side, fails where the whole interval
+    lies on the other, and is undecided otherwise, as it is without figures (the note says which are missing).
+    """
+    rows = []
+    for claim in claims:
+        scenes = list(claim.scenes) or evidence.scenes
+        found = [_judge_scene(claim, scene, evidence) for scene in scenes]
+        verdicts = [row["verdict"] for row in found]
+        scope = {"every": "every scene", "most": "most scenes"}.get(claim.scope, "these scenes")
+        counts = ", ".join(
+            f"{v} on {verdicts.count(v)}" for v in ("holds", "fails", "undecided") if v in verdicts
+        )
+        rows += found if len(found) > 1 or claim.scope != "named" else []
+        summary = found[0] if len(found) == 1 and claim.scope == "named" else {"note": counts}
+        rows.append(
+            {"claim": claim.statement, "metric": claim.metric, **summary}
+            | {"scene": scope if len(found) > 1 or claim.scope != "named" else scenes[0]}
+            | {"verdict": _over_scenes(verdicts, claim.scope == "most")}
+        )
+    return pd.DataFrame(rows, columns=VERDICT_COLUMNS)
+
+
+def _over_scenes(verdicts: list[str], most: bool) -> str:
+    holds, fails = verdicts.count("holds"), verdicts.count("fails")
+    if most:
+        half = len(verdicts) / 2
+        return "holds" if holds > half else "fails" if len(verdicts) - fails <= half else "undecided"
+    return "fails" if fails else "holds" if holds == len(verdicts) > 0 else "undecided"
+
+
+def _judge_scene(claim: Claim, scene: str, evidence: Evidence) -> dict:
+    row = {
+        "claim": claim.statement,
+        "scene": scene,
+        "metric": claim.metric,
+        "verdict": "undecided",
+        "note": "",
+    }
+    try:
+        left = _side(claim.better, claim, scene, evidence)
+        right = _side(claim.than, claim, scene, evidence)
+        value, lo, hi, n = _difference(left, right)
+    except _Missing as missing:
+        return row | {"note": str(missing)}
+    row |= {"difference": value, "lo": lo, "hi": hi, "n": n}
+    if not np.isfinite(hi - lo):
+        return row | {
+            "note": f"{n} image(s) give no interval" if np.isfinite(value) else "a figure is not available"
+        }
+    if direction_of(claim.metric) == "lower":
+        lo, hi = -hi, -lo
+    if claim.within is not None:
+        inside, outside = lo >= -claim.within and hi <= claim.within, lo > claim.within or hi < -claim.within
+        verdict = "holds" if inside else "fails" if outside else "undecided"
+    else:
+        verdict = "holds" if lo > claim.margin else "fails" if hi < claim.margin else "undecided"
+    floor = _noise_floor(claim, scene, evidence)
+    if floor is not None and min(left.level, right.level) > floor - FLOOR_MARGIN:
+        verdict, row["note"] = (
+            "undecided",
+            f"within {FLOOR_MARGIN:g} dB of the reference's noise floor {floor:.1f} dB",
+        )
+    return row | {"verdict": verdict}
+
+
+@dataclass
+class _Side:
+    values: pd.Series | None  #: by (view, lighting); None for a number or a cost
+    mean: Interval
+    splits: frozenset[str]
+    level: float  #: the lowest mean among its terms, to hold against the noise floor
+
+
+def _side(terms: tuple[Term, ...], claim: Claim, scene: str, evidence: Evidence) -> _Side:
+    parts = [_figures(term, claim, scene, evidence) for term in terms]
+    first, rest = parts[0], parts[1:]
+    if not rest:
+        return first
+    series = [part.values for part in parts]
+    if any(s is None for s in series) or any(not s.index.equals(series[0].index) for s in series):
+        raise _Missing("the terms of a difference were not measured on the same images")
+    values = series[0] - sum(series[1:])
+    level = min(part.level for part in parts)
+    return _Side(values, image_interval(values), frozenset().union(*(part.splits for part in parts)), level)
+
+
+def _figures(term: Term, claim: Claim, scene: str, evidence: Evidence) -> _Side:
+    if not term.method:
+        return _Side(None, Interval(term.number, term.number, term.number, 1), frozenset(), math.inf)
+    split = "" if is_cost(claim.metric) else term.split or claim.split
+    source = evidence.results if is_cost(claim.metric) else evidence.images
+    wanted = (
+        (source["scene"] == scene) & (source["method"] == term.method) & (source["variant"] == term.variant)
+        & (source["metric"] == claim.metric) & (source["component"] == claim.component)
+        & (source["split"] == split)
+    )  # fmt: skip
+    rows = source[wanted & source["value"].notna()] if is_cost(claim.metric) else source[wanted]
+    if not len(rows):
+        name = term.method + (f"[{term.variant}]" if term.variant else "")
+        reason = evidence.reasons.get((scene, term.method), f"no {claim.metric} figures")
+        raise _Missing(f"{name}: {reason}")
+    if is_cost(claim.metric):
+        row = rows.iloc[0]
+        value, hi = float(row["value"]), float(row["hi"])
+        return _Side(None, Interval(value, value, hi if hi == hi else value, 1), frozenset(), math.inf)
+    values = over_seeds(rows)
+    interval = image_interval(values)
+    return _Side(values, interval, frozenset([split]), interval.mean)
+
+
+def _difference(left: _Side, right: _Side) -> Interval:
+    """Left minus right: image by image where both have the same, else between two independent means."""
+    if left.values is not None and right.values is not None and left.splits == right.splits:
+        if not left.values.index.equals(right.values.index):
+            raise _Missing(
+                "the two sides were not measured on the same images; run both with the same settings"
+            )
+        return image_interval(left.values - right.values)
+    a, b = left.mean, right.mean
+    value = a.mean - b.mean
+    below, above = math.hypot(a.mean - a.lo, b.hi - b.mean), math.hypot(a.hi - a.mean, b.mean - b.lo)
+    return Interval(
+        value, value - below, value + above, min(s.mean.n for s in (left, right) if s.splits or s is left)
+    )
+
+
+def _noise_floor(claim: Claim, scene: str, evidence: Evidence) -> float | None:
+    """The reference's PSNR against a second seed, where it was measured for this scene."""
+    if claim.metric != "psnr" or not len(evidence.results):
+        return None
+    r = evidence.results
+    rows = r[(r["scene"] == scene) & (r["metric"] == NOISE_FLOOR) & (r["component"] == claim.component)]
+    values = rows.loc[rows["split"].isin([claim.split] if claim.split else SPLITS), "value"].dropna()
+    return float(values.min()) if len(values) else None

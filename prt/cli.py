@@ -1,0 +1,216 @@
+"""The ``prt`` command: one subcommand per question, every mistake in one line."""
+
+import argparse
+import os
+import shlex
+import signal
+import sys
+import textwrap
+import traceback
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from prt.errors import PrtError
+
+EXAMPLES = {
+    "prt": """
+        prt doctor                                                     what works on this machine
+        prt run   scene=cornell_glossy method=wavelet_neural           one method on one scene
+        prt run   -m scene=cornell_glossy,kitchen method=neural_prt,wavelet_neural    a sweep
+        prt table quickstart                                           a table: runs what is missing, writes the report
+        prt status                                                     which runs are done, failed, stopped""",
+    "run": """
+        prt run scene=cornell_glossy method=wavelet_neural method.wavelets=32 budget=laptop
+        prt run -m scene=cornell_glossy,four_shapes seed=0,1,2         every combination, one after the other
+        prt run -m hydra/launcher=ray scene=cornell_glossy,kitchen     the same on any installed Hydra launcher
+        prt run --conf-dir my_conf method=my_method                    my_conf/method/my_method.yaml names your class
+        prt run --show scene=kitchen                                   print the resolved configuration and the run folder""",
+    "table": """
+        prt table quickstart
+        prt table raghavan2023/table1 budget=laptop""",
+    "status": """
+        prt status
+        prt status --folder runs/relight_indirect/kitchen""",
+    "score": """
+        prt score runs/relight_indirect/cornell_glossy                 every finished run below it""",
+    "doctor": """
+        prt doctor""",
+}
+ABOUT = {
+    "run": "Run one method on one scene, or a sweep (-m). Finished runs are skipped, interrupted ones resume.",
+    "table": "Regenerate a table or figure of experiments/: run what is missing, then write reports/<name>/.",
+    "status": "List runs by state, read from their folders.",
+    "score": "Recompute metrics from the stored images, without fitting anything.",
+    "doctor": "Show what works on this machine, what is missing, and how to get it.",
+}
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse with errors of one line."""
+
+    def error(self, message: str):
+        raise PrtError(f"{message}; `{self.prog} --help` shows what is possible")
+
+
+def parser() -> Parser:
+    """The command line; help texts list the choices found in conf/."""
+    style = argparse.RawDescriptionHelpFormatter
+    top = Parser("prt", formatter_class=style, epilog=examples("prt"),
+                 description="Reference experiments for precomputed radiance transfer.")
+    top.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    subs = top.add_subparsers(dest="command", metavar="<command>", parser_class=Parser)
+    for name, about in ABOUT.items():
+        epilog = examples(name) + (groups_help() if name in ("run", "table") and wants_help() else "")
+        sub = subs.add_parser(name, help=about, description=about, formatter_class=style, epilog=epilog)
+        sub.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
+        if name in ("run", "table"):
+            sub.add_argument("--conf-dir", action="append", default=[], metavar="FOLDER",
+                             help="a folder with your own method/, scene/, ... YAML files; may be repeated")
+        if name == "run":
+            sub.add_argument("-m", "--multirun", action="store_true",
+                             help="sweep over comma-separated values with any Hydra launcher")
+            sub.add_argument("--show", action="store_true", help="print the resolved configuration, run nothing")
+        if name == "table":
+            sub.add_argument("name", help="a YAML of experiments/, as raghavan2023/table1")
+        if name in ("run", "table"):
+            sub.add_argument("overrides", nargs="*", metavar="key=value", help="choices and settings, see below")
+        if name == "status":
+            sub.add_argument("--folder", default="runs", type=Path, help="where to look (default: runs)")
+        if name == "score":
+            sub.add_argument("folders", nargs="+", type=Path, metavar="folder", help="run folders, or folders of runs")
+            sub.add_argument("--metrics", default=None, metavar="a,b", help="metrics (default: those of the run)")
+    return top
+
+
+def wants_help() -> bool:
+    return any(word in ("-h", "--help") for word in sys.argv)
+
+
+def examples(name: str) -> str:
+    return "examples:\n" + textwrap.indent(textwrap.dedent(EXAMPLES[name]).strip("\n"), "  ")
+
+
+def groups_help() -> str:
+    """Groups and their choices, then where settings come from."""
+    from prt.bench.compose import GROUPS, choices
+
+    lines = ["", "", "groups and their choices:"]
+    for group in GROUPS:
+        text = ", ".join(choices(group)) or "(none yet)"
+        lines.append(textwrap.fill(text, 100, initial_indent=f"  {group + '=':<10}", subsequent_indent=" " * 12))
+    lines += ["", "settings: any key of a YAML file in conf/, as seed=1, device=cpu, task.far_views=4, run.folder=elsewhere"]
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit status: 0 done, 1 a bug or failed runs, 2 a mistake to mend, 130 interrupted."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    warnings.showwarning = show_warning
+    signal.signal(signal.SIGTERM, stop)
+    if os.getcwd() not in sys.path:  # a user's own method may lie in the current folder
+        sys.path.append(os.getcwd())
+    try:
+        options, rest = parser().parse_known_args(words)
+        strange = [word for word in rest if word.startswith("-") or not hasattr(options, "overrides")]
+        if strange:
+            raise PrtError(f"unknown option {strange[0]!r}; `prt {options.command or ''} --help` shows what is possible")
+        if options.command is None:
+            parser().print_help()
+            return 0
+        if rest:
+            options.overrides = in_order(words, [*options.overrides, *rest])
+        return COMMANDS[options.command](options)
+    except PrtError as error:
+        return report(error, 2, "--debug" in words)
+    except KeyboardInterrupt:
+        again = shlex.join(["prt", *words])
+        print(f"\nprt: interrupted; the same command resumes where it stopped: {again}", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        sys.stdout = None  # whoever read us has left: nothing to flush
+        return 1
+    except Exception as error:  # a bug: still one line, the traceback on request and in FAILED
+        text = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        return report(PrtError(f"{text}; this is a bug, see traceback.txt in the run folder or add --debug"), 1,
+                      "--debug" in words)
+
+
+def in_order(words: list[str], overrides: list[str]) -> list[str]:
+    """Overrides in the order of the command line (options may stand between them)."""
+    return sorted(overrides, key=words.index)
+
+
+def report(error: BaseException, status: int, debug: bool) -> int:
+    if debug:
+        traceback.print_exc()
+    print(f"prt: error: {' '.join(str(error).split())}", file=sys.stderr)
+    return status
+
+
+def show_warning(message: Any, category: Any, filename: str, lineno: int, file: Any = None, line: Any = None) -> None:
+    print(f"prt: warning: {' '.join(str(message).split())}", file=sys.stderr)
+
+
+def stop(*_: object) -> None:
+    """A polite request to end (SIGTERM, a scheduler's time limit) is an interruption: the run resumes later."""
+    raise KeyboardInterrupt
+
+
+def add_conf_dirs(folders: Sequence[str]) -> None:
+    """Make a user's own YAML folders known, to this process and to those a launcher starts."""
+    known = [part for part in os.environ.get("PRT_CONF_DIRS", "").split(os.pathsep) if part]
+    os.environ["PRT_CONF_DIRS"] = os.pathsep.join([*known, *(str(Path(f).resolve()) for f in folders)])
+
+
+def run_command(options: argparse.Namespace) -> int:
+    from prt.bench import compose, run, sweep
+
+    add_conf_dirs(options.conf_dir)
+    if options.multirun:
+        return sweep.sweep(options.overrides)
+    cfg = compose.compose(options.overrides)
+    if options.show:
+        from omegaconf import OmegaConf
+
+        print(OmegaConf.to_yaml(cfg).rstrip())
+        print(f"# run folder: {run.folder_of(cfg).path}")
+        return 0
+    folder = run.run(cfg)
+    print(f"{folder.path}\n{run.summary(folder)}")
+    return 0
+
+
+def table_command(options: argparse.Namespace) -> int:
+    from prt.bench import table
+
+    add_conf_dirs(options.conf_dir)
+    return table.main(options.name, options.overrides) or 0
+
+
+def status_command(options: argparse.Namespace) -> int:
+    from prt.bench import status
+
+    return status.main(options.folder)
+
+
+def score_command(options: argparse.Namespace) -> int:
+    from prt.bench import score
+
+    return score.main(options.folders, options.metrics.split(",") if options.metrics else None)
+
+
+def doctor_command(options: argparse.Namespace) -> int:
+    from prt.bench import doctor
+
+    return doctor.main()
+
+
+COMMANDS = {
+    "run": run_command, "table": table_command, "status": status_command, "score": score_command,
+    "doctor": doctor_command,
+}  # fmt: skip
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,121 @@
+"""Means with confidence intervals, and verdicts on claims.
+
+Values that share a group (the lightings of one view, the views of one seed) are not independent, so a
+group, not a value, is the unit that chance draws. From ``FEW`` groups on, the interval is the percentile
+bootstrap over groups; below, where the bootstrap is too narrow (with five groups a nominal 95 % covers
+about 83 %), Student's t with the cluster-robust variance. One group alone says nothing about spread: its
+interval is NaN, and a claim resting on it undecided.
+"""
+
+from collections.abc import Hashable, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from prt.errors import PrtError
+
+Verdict = Literal["holds", "fails", "undecided"]
+#: fewer groups than this use Student's t
+FEW = 20
+RESAMPLES = 2000
+
+
+class Interval(NamedTuple):
+    """The mean of ``n`` values and its confidence interval."""
+
+    mean: float
+    lo: float
+    hi: float
+    n: int
+
+
+def mean_interval(
+    values: Sequence[float],
+    confidence: float = 0.95,
+    seed: int = 0,
+    groups: Sequence[Hashable] | None = None,
+) -> Interval:
+    """The mean of ``values`` with its interval; deterministic in ``seed``.
+
+    A NaN or infinite value is not dropped: it makes the mean NaN or infinite and the interval NaN.
+
+    Args:
+        values: n numbers; none gives (NaN, NaN, NaN, 0).
+        confidence: in (0, 1).
+        seed: of the bootstrap.
+        groups: n labels; equal labels are values that are not independent. Each its own by default.
+
+    Raises:
+        PrtError: if ``confidence`` is out of range or ``groups`` has another length.
+    """
+    x = np.asarray(values, dtype=np.float64).reshape(-1)
+    if not 0 < confidence < 1:
+        raise PrtError(f"confidence={confidence}: must lie between 0 and 1, such as 0.95")
+    if groups is not None and len(groups) != x.size:
+        raise PrtError(f"groups has {len(groups)} labels for {x.size} values; give one label a value")
+    mean = float(x.mean()) if x.size else np.nan
+    labels = range(x.size) if groups is None else groups
+    index: dict[Hashable, int] = {}
+    member = np.array([index.setdefault(label, len(index)) for label in labels], dtype=np.int64)
+    if len(index) < 2 or not np.isfinite(x).all():
+        return Interval(mean, np.nan, np.nan, x.size)
+    sizes = np.bincount(member)
+    if len(index) < FEW:
+        lo, hi = _student(np.bincount(member, weights=x - mean), x.size, mean, confidence)
+    else:
+        lo, hi = _bootstrap(np.bincount(member, weights=x), sizes, confidence, seed)
+    return Interval(mean, lo, hi, x.size)
+
+
+def _student(residuals: np.ndarray, n: int, mean: float, confidence: float) -> tuple[float, float]:
+    """From the groups' summed residuals: the cluster-robust variance of the mean, with G - 1 freedoms."""
+    count = residuals.size
+    error = np.sqrt(count / (count - 1) * np.sum(residuals**2)) / n
+    half = float(stats.t.ppf(0.5 + confidence / 2, count - 1) * error)
+    return mean - half, mean + half
+
+
+def _bootstrap(sums: np.ndarray, sizes: np.ndarray, confidence: float, seed: int) -> tuple[float, float]:
+    """Percentiles of the mean over groups drawn with replacement."""
+    drawn = np.random.default_rng(seed).integers(0, sums.size, (RESAMPLES, sums.size))
+    means = sums[drawn].sum(axis=1) / sizes[drawn].sum(axis=1)
+    tail = 50 * (1 - confidence)
+    lo, hi = np.percentile(means, [tail, 100 - tail])
+    return float(lo), float(hi)
+
+
+def paired_difference_interval(
+    a: Sequence[float],
+    b: Sequence[float],
+    confidence: float = 0.95,
+    seed: int = 0,
+    groups: Sequence[Hashable] | None = None,
+) -> Interval:
+    """The mean of a - b, pair by pair (same view, same lighting), with its interval.
+
+    Raises:
+        PrtError: if ``a`` and ``b`` have unequal lengths.
+    """
+    if len(a) != len(b):
+        raise PrtError(f"{len(a)} values against {len(b)}; compare pairs of the same view and lighting")
+    difference = np.asarray(a, dtype=np.float64) - np.asarray(b, dtype=np.float64)
+    return mean_interval(difference, confidence, seed, groups)
+
+
+def compare(
+    a: Sequence[float],
+    b: Sequence[float],
+    direction: Literal["higher", "lower"],
+    confidence: float = 0.95,
+    seed: int = 0,
+    groups: Sequence[Hashable] | None = None,
+) -> Verdict:
+    """The verdict on the claim that ``a`` is better than ``b``, where ``direction`` says which way is better.
+
+    Undecided where the interval of the paired difference contains 0, or where there is none (one group, NaN).
+    """
+    _, lo, hi, _ = paired_difference_interval(a, b, confidence, seed, groups)
+    if direction == "lower":
+        lo, hi = -hi, -lo
+    return "holds" if lo > 0 else "fails" if hi < 0 else "undecided"

@@ -1,0 +1,345 @@
+"""Any Mitsuba scene: an XML file, or a dict in YAML, JSON or Python; its lights removed, the environment is the light.
+
+What is kept is geometry and materials. Sensors, the integrator and every emitter are taken out. A shape that
+carries an area emitter is a lamp, a light panel or a window portal: it is removed with its emitter, because
+left in place as a dark surface it would stand in the very opening the environment has to come through
+(``emitting_shapes: keep`` keeps it with its BSDF).
+"""
+
+import fnmatch
+import functools
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from prt.errors import PrtError
+from prt.paths import data_file, data_folder
+from prt.scene.mitsuba_setup import mitsuba
+from prt.scene.scene import Scene, Trajectory, file_digest
+from prt.scene.sensor_cameras import SensorPose, cameras_around_bounds, cameras_around_sensor
+from prt.scene.view import View
+
+#: smooth BSDFs and the rough ones that take their place when a roughness is set
+ROUGH_VERSION = {"conductor": "roughconductor", "plastic": "roughplastic", "dielectric": "roughdielectric"}
+DICT_FILES = (".yaml", ".yml", ".json")
+
+
+class MitsubaScene(Scene):
+    """A scene read from a Mitsuba file or dict.
+
+    Args:
+        path: an XML, YAML or JSON file, absolute, relative to the current folder, or below ``PRT_DATA``; or the
+            scene itself as a dict in Mitsuba's ``load_dict`` format (4 x 4 lists stand for transforms).
+        cameras: trajectories as in :class:`~prt.scene.scene.Scene`; None derives them from the file's own
+            sensor, or from the bounding box where it has none.
+        open: shapes to take out so that the environment gets in, by id; ``*`` matches any characters.
+        roughness: sigma in [0, 1] for all BSDFs (GGX alpha is its square), or a dict from BSDF id pattern to
+            sigma; smooth conductors, plastics and dielectrics become rough ones.
+        emitting_shapes: ``remove`` or ``keep`` the shapes of area emitters.
+        parameters: values for the ``$name`` parameters of an XML file.
+
+    Raises:
+        PrtError: for a missing or unreadable file, or a pattern that matches nothing.
+    """
+
+    def __init__(
+        self,
+        name: str = "mitsuba",
+        path: str | Path | Mapping[str, Any] | None = None,
+        cameras: dict[str, list[Trajectory]] | None = None,
+        max_depth: int = 8,
+        record: Literal["bsdf", "nee"] = "nee",
+        open: Sequence[str] = (),
+        roughness: float | Mapping[str, float] | None = None,
+        emitting_shapes: Literal["remove", "keep"] = "remove",
+        parameters: Mapping[str, Any] | None = None,
+    ):
+        super().__init__(name, cameras or self._derived_cameras(), max_depth, record)
+        if path is None or (isinstance(path, (str, Path)) and not str(path).strip()):
+            raise PrtError("scene.path is not set; give a Mitsuba scene: scene.path=/folder/scene.xml (.xml, .yaml, .json)")
+        if emitting_shapes not in ("remove", "keep"):
+            raise PrtError(f"scene.emitting_shapes={emitting_shapes!r} is not one of remove, keep")
+        if isinstance(open, str):
+            raise PrtError(f"scene.open={open!r} must be a list of shape ids: scene.open=[{open}]")
+        self.content = _plain(path) if isinstance(path, Mapping) else None
+        self.path = None if isinstance(path, Mapping) else scene_file(path)
+        self.open = [str(pattern) for pattern in open]
+        self.roughness = _roughness_by_pattern(roughness)
+        self.emitting_shapes = emitting_shapes
+        self.parameters = {key: str(value) for key, value in (parameters or {}).items()}
+        self._shapes: dict[str, Any] | None = None
+        self._sensor: SensorPose | None = None
+
+    def description(self) -> dict[str, Any]:
+        """The shapes, already built, by id: scenes with different emitters share them."""
+        if self._shapes is None:
+            self._shapes = self._build()
+        return dict(self._shapes)
+
+    def fingerprint(self) -> dict[str, Any]:
+        """The content of the file and of every file it names (SHA-256), and the options."""
+        state = self._parse()
+        files = sorted({str(file) for file in _referenced_files(state)})
+        contents = [cached_digest(Path(file), Path(file).stat().st_mtime_ns) for file in files]
+        if self.content is not None:
+            contents.append(json.dumps(_jsonable(self.content), sort_keys=True))
+        else:
+            contents += [file_digest(Path(str(file))) for file in (state.files or [self.path])]
+        digest = hashlib.sha256("\n".join(contents).encode()).hexdigest()
+        return {
+            "kind": "mitsuba_file",
+            "content": digest,
+            "open": self.open,
+            "roughness": self.roughness,
+            "emitting_shapes": self.emitting_shapes,
+            "parameters": self.parameters,
+        }
+
+    def _derived_cameras(self) -> dict[str, list[Trajectory]]:
+        """Two trajectories per split that load the scene only when the first view is asked for."""
+        found: dict[str, list[Trajectory]] = {}
+
+        def later(split: str, number: int) -> Trajectory:
+            def views(places: Sequence[float]) -> list[View]:
+                if not found:
+                    scene = self.load()
+                    found.update(
+                        cameras_around_bounds(*self.bounds)
+                        if self._sensor is None
+                        else cameras_around_sensor(scene, self._sensor)
+                    )
+                return found[split][number](places)
+
+            return views
+
+        return {split: [later(split, 0), later(split, 1)] for split in ("train", "far")}
+
+    def _parse(self):
+        """Mitsuba's parsed scene: references resolved, file names absolute."""
+        mi = mitsuba()
+        config = _parser_config()
+        try:
+            if self.content is not None or self.path.suffix.lower() in DICT_FILES:
+                content = self.content if self.content is not None else _read_dict(self.path)
+                state = mi.parser.parse_dict(config, _with_transforms({"type": "scene", **content}))
+            else:
+                state = mi.parser.parse_file(config, str(self.path), **self.parameters)
+            mi.parser.transform_upgrade(config, state)
+            mi.parser.transform_resolve(config, state)
+        except PrtError:
+            raise
+        except Exception as error:
+            raise PrtError(f"cannot read scene.path={self.path or 'dict'}: {_one_line(error)}") from error
+        if state.root.props.plugin_name() != "scene":
+            raise PrtError(f"scene.path={self.path} holds a {state.root.props.plugin_name()!r}, not a scene")
+        folder = self.path.parent if self.path is not None else Path.cwd()
+        for node in state.nodes:
+            if "filename" in node.props and isinstance(node.props["filename"], str):
+                places = [folder, Path(str(state.files[node.file_index])).parent] if state.files else [folder]
+                node.props["filename"] = str(_find(node.props["filename"], places))
+        return state
+
+    def _build(self) -> dict[str, Any]:
+        mi = mitsuba()
+        config, state = _parser_config(), self._parse()
+        self._sensor = _first_sensor(state)
+        self._strip(state)
+        _set_roughness(state, self.roughness)
+        for file in _referenced_files(state):
+            if not Path(file).exists():
+                raise PrtError(f"scene.path={self.path or 'dict'} needs {file}, which does not exist; restore it")
+        try:
+            mi.parser.transform_merge_equivalent(config, state)
+            mi.parser.transform_merge_meshes(config, state)
+            scene = mi.parser.instantiate(config, state)
+        except Exception as error:
+            raise PrtError(f"cannot build scene.path={self.path or 'dict'}: {_one_line(error)}") from error
+        scene = scene[0] if isinstance(scene, (list, tuple)) else scene
+        shapes = list(scene.shapes())
+        if not shapes:
+            raise PrtError(f"scene.path={self.path or 'dict'} has no shapes left; nothing to look at")
+        return {f"{_key(shape.id())}_{i}": shape for i, shape in enumerate(shapes)}
+
+    def _strip(self, state) -> None:
+        """Take out emitters, sensors, integrators, and the shapes that are to be opened."""
+        mi = mitsuba()
+        unwanted = (mi.ObjectType.Emitter, mi.ObjectType.Sensor, mi.ObjectType.Integrator)
+        ids: set[str] = set()
+        gone: set[int] = set()
+        for index, node in enumerate(state.nodes):
+            if node.type == mi.ObjectType.Shape:
+                ids.add(node.props.id())
+                emits = any(state.nodes[i].type == mi.ObjectType.Emitter for _, i in _children(node))
+                opened = any(fnmatch.fnmatchcase(node.props.id(), pattern) for pattern in self.open)
+                if opened or (emits and self.emitting_shapes == "remove"):
+                    gone.add(index)
+            elif node.type in unwanted:
+                gone.add(index)
+        for pattern in self.open:
+            if not fnmatch.filter(ids, pattern):
+                raise PrtError(
+                    f"scene.open: no shape of {self.path or 'the dict'} is called {pattern!r}; "
+                    f"some that exist: {', '.join(sorted(ids)[:8])}"
+                )
+        for node in state.nodes:
+            for key, index in _children(node):
+                if index in gone:
+                    del node.props[key]
+
+
+def scene_file(path: str | Path) -> Path:
+    """A scene file given absolute, relative to the current folder, or below ``PRT_DATA``."""
+    given = Path(path).expanduser()
+    if given.is_absolute() or given.exists():
+        if not given.is_file():
+            raise PrtError(f"scene.path={given} does not exist or is no file; give a Mitsuba .xml, .yaml or .json")
+        return given.resolve()
+    if data_folder() is None and not str(path).startswith("scenes/"):
+        raise PrtError(f"scene.path={given} does not exist (looked in {Path.cwd()}; PRT_DATA is not set)")
+    return data_file(str(path))
+
+
+@functools.cache
+def cached_digest(path: Path, modified: int) -> str:
+    """SHA-256 of a file, read once per process as long as it is not modified."""
+    return file_digest(path)
+
+
+def _parser_config():
+    mi = mitsuba()
+    config = mi.parser.ParserConfig(mi.variant())
+    # Scenes in the wild carry stray properties and parameters; they are no reason not to look at one.
+    config.unused_parameters = mi.LogLevel.Debug
+    config.unused_properties = mi.LogLevel.Debug
+    return config
+
+
+def _children(node) -> list[tuple[str, int]]:
+    mi = mitsuba()
+    values = ((key, node.props[key]) for key in list(node.props.keys()))
+    return [(key, value.index()) for key, value in values if isinstance(value, mi.Properties.ResolvedReference)]
+
+
+def _referenced_files(state) -> list[str]:
+    mi = mitsuba()
+    lit = (mi.ObjectType.Emitter,)
+    names = (n.props["filename"] for n in state.nodes if n.type not in lit and "filename" in n.props)
+    return [name for name in names if isinstance(name, str)]
+
+
+def _find(name: str, folders: list[Path]) -> Path:
+    """An existing file of this name in one of the folders, or where it was first expected."""
+    if Path(name).is_absolute():
+        return Path(name)
+    found = [folder / name for folder in folders if (folder / name).exists()]
+    return (found or [folders[0] / name])[0].resolve()
+
+
+def _first_sensor(state) -> SensorPose | None:
+    """Pose and horizontal field of view of the file's first perspective sensor."""
+    mi = mitsuba()
+    for node in state.nodes:
+        if node.type != mi.ObjectType.Sensor or node.props.plugin_name() not in ("perspective", "thinlens"):
+            continue
+        aspect = 1.0
+        for _, index in _children(node):
+            film = state.nodes[index]
+            if film.type == mi.ObjectType.Film and "width" in film.props and "height" in film.props:
+                aspect = float(film.props["width"]) / float(film.props["height"])
+        try:
+            fov = float(mi.parse_fov(node.props, aspect))
+        except Exception:
+            fov = 50.0
+        matrix = node.props["to_world"].matrix if "to_world" in node.props else mi.ScalarTransform4f().matrix
+        return SensorPose.from_matrix(matrix, fov)
+    return None
+
+
+def _set_roughness(state, by_pattern: dict[str, float]) -> None:
+    """Set sigma on every BSDF whose id, or that of a BSDF around it, matches."""
+    mi = mitsuba()
+    bsdfs = {i: node for i, node in enumerate(state.nodes) if node.type == mi.ObjectType.BSDF}
+
+    def apply(index: int, sigma: float) -> None:
+        props = bsdfs[index].props
+        plugin = ROUGH_VERSION.get(props.plugin_name(), props.plugin_name())
+        if plugin in ROUGH_VERSION.values():
+            props.set_plugin_name(plugin)
+            for key in ("alpha_u", "alpha_v"):
+                if key in props:
+                    del props[key]
+            props["alpha"] = sigma**2
+            props["distribution"] = "ggx"
+        elif plugin in ("principled", "principledthin"):
+            props["roughness"] = sigma
+        for _, child in _children(bsdfs[index]):
+            if child in bsdfs:
+                apply(child, sigma)
+
+    for pattern, sigma in by_pattern.items():
+        matching = [i for i, node in bsdfs.items() if pattern == "*" or fnmatch.fnmatchcase(node.props.id(), pattern)]
+        if not matching and pattern != "*":
+            some = ", ".join(sorted(node.props.id() for node in bsdfs.values() if node.props.id())[:8])
+            raise PrtError(f"scene.roughness: no BSDF is called {pattern!r}; some that exist: {some}")
+        for index in matching:
+            apply(index, sigma)
+
+
+def _roughness_by_pattern(value: float | Mapping[str, float] | None) -> dict[str, float]:
+    if value is None:
+        return {}
+    by_pattern = {str(k): v for k, v in value.items()} if isinstance(value, Mapping) else {"*": value}
+    for pattern, sigma in by_pattern.items():
+        if isinstance(sigma, bool) or not isinstance(sigma, (int, float)) or not 0.0 <= sigma <= 1.0:
+            raise PrtError(
+                f"scene.roughness={sigma!r} (for {pattern!r}) must be a number from 0 (mirror) to 1 (sigma, the square "
+                "root of GGX alpha), or null to leave the file's own"
+            )
+    return {pattern: float(sigma) for pattern, sigma in by_pattern.items()}
+
+
+def _read_dict(path: Path) -> dict[str, Any]:
+    import yaml
+
+    content = json.loads(path.read_text()) if path.suffix == ".json" else yaml.safe_load(path.read_text())
+    if not isinstance(content, dict):
+        raise PrtError(f"scene.path={path} must hold a mapping in Mitsuba's dict format")
+    return content
+
+
+def _plain(value: Any) -> Any:
+    """Hydra's containers as plain dicts and lists; anything else as it is."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(part) for key, part in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, (str, bytes)):
+        return [_plain(part) for part in value]
+    return value
+
+
+def _with_transforms(value: Any) -> Any:
+    """4 x 4 lists as Mitsuba transforms, all the way down."""
+    if isinstance(value, dict):
+        return {key: _with_transforms(part) for key, part in value.items()}
+    if isinstance(value, list) and len(value) == 4 and all(isinstance(r, list) and len(r) == 4 for r in value):
+        return mitsuba().ScalarTransform4f(value)
+    return value
+
+
+def _jsonable(value: Any) -> Any:
+    """For fingerprints: containers as they are, numbers and strings plain, anything else by its text."""
+    if isinstance(value, dict):
+        return {key: _jsonable(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [_jsonable(part) for part in value]
+    return value if isinstance(value, (str, int, float, bool, type(None))) else str(value)
+
+
+def _key(identifier: str) -> str:
+    """A shape id as a dict key Mitsuba accepts."""
+    return "".join(c if c.isalnum() or c in "_-" else "_" for c in identifier) or "shape"
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
