@@ -17,19 +17,20 @@ from prt.errors import PrtError
 EXAMPLES = {
     "prt": """
         prt doctor                                                     what works on this machine
-        prt run   scene=cornell_glossy method=wavelet_neural           one method on one scene
-        prt run   -m scene=cornell_glossy,kitchen method=neural_prt,wavelet_neural    a sweep
-        prt table quickstart                                           a table: runs what is missing, writes the report
-        prt status                                                     which runs are done, failed, stopped""",
+        prt run scene=cornell_glossy method=wavelet_neural             one method on one scene
+        prt run -m scene=cornell_glossy,kitchen seed=0,1,2             a sweep
+        prt table quickstart                                           run what is missing, write the report
+        prt status                                                     what is done, failed, stopped""",
     "run": """
         prt run scene=cornell_glossy method=wavelet_neural method.wavelets=32 budget=laptop
         prt run -m scene=cornell_glossy,four_shapes seed=0,1,2         every combination, one after the other
-        prt run -m hydra/launcher=ray scene=cornell_glossy,kitchen     the same on any installed Hydra launcher
-        prt run --conf-dir my_conf method=my_method                    my_conf/method/my_method.yaml names your class
-        prt run --show scene=kitchen                                   print the resolved configuration and the run folder""",
+        prt run -m hydra/launcher=ray scene=cornell_glossy,kitchen     the same on any Hydra launcher
+        prt run --conf-dir mine method=my_method                       mine/method/my_method.yaml names a class
+        prt run --show scene=kitchen                                   print the settings and the run folder""",
     "table": """
         prt table quickstart
-        prt table raghavan2023/table1 budget=laptop""",
+        prt table raghavan2023/table1 budget=laptop
+        prt table raghavan2023/table1 --dry-run                  the runs of the grid and their states""",
     "status": """
         prt status
         prt status --folder runs/relight_indirect/kitchen""",
@@ -39,12 +40,13 @@ EXAMPLES = {
         prt doctor""",
 }
 ABOUT = {
-    "run": "Run one method on one scene, or a sweep (-m). Finished runs are skipped, interrupted ones resume.",
+    "run": "Run a method on a scene, or a sweep (-m). Finished runs are skipped, interrupted ones resume.",
     "table": "Regenerate a table or figure of experiments/: run what is missing, then write reports/<name>/.",
     "status": "List runs by state, read from their folders.",
     "score": "Recompute metrics from the stored images, without fitting anything.",
     "doctor": "Show what works on this machine, what is missing, and how to get it.",
 }
+BUG = "; this is a bug, see traceback.txt in the run folder or add --debug"
 
 
 class Parser(argparse.ArgumentParser):
@@ -57,8 +59,12 @@ class Parser(argparse.ArgumentParser):
 def parser() -> Parser:
     """The command line; help texts list the choices found in conf/."""
     style = argparse.RawDescriptionHelpFormatter
-    top = Parser("prt", formatter_class=style, epilog=examples("prt"),
-                 description="Reference experiments for precomputed radiance transfer.")
+    top = Parser(
+        "prt",
+        formatter_class=style,
+        epilog=examples("prt"),
+        description="Reference experiments for precomputed radiance transfer.",
+    )
     top.add_argument("--debug", action="store_true", help="show the traceback of an error")
     subs = top.add_subparsers(dest="command", metavar="<command>", parser_class=Parser)
     for name, about in ABOUT.items():
@@ -66,21 +72,37 @@ def parser() -> Parser:
         sub = subs.add_parser(name, help=about, description=about, formatter_class=style, epilog=epilog)
         sub.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
         if name in ("run", "table"):
-            sub.add_argument("--conf-dir", action="append", default=[], metavar="FOLDER",
-                             help="a folder with your own method/, scene/, ... YAML files; may be repeated")
+            sub.add_argument(
+                "--conf-dir",
+                action="append",
+                default=[],
+                metavar="FOLDER",
+                help="a folder with your own method/, scene/, ... YAML files; may be repeated",
+            )
         if name == "run":
-            sub.add_argument("-m", "--multirun", action="store_true",
-                             help="sweep over comma-separated values with any Hydra launcher")
-            sub.add_argument("--show", action="store_true", help="print the resolved configuration, run nothing")
+            sub.add_argument(
+                "-m",
+                "--multirun",
+                action="store_true",
+                help="sweep over comma-separated values with any Hydra launcher",
+            )
+            sub.add_argument("--show", action="store_true", help="print the settings, run nothing")
         if name == "table":
             sub.add_argument("name", help="a YAML of experiments/, as raghavan2023/table1")
+            sub.add_argument(
+                "--dry-run", action="store_true", help="list the runs and their states, run nothing"
+            )
         if name in ("run", "table"):
-            sub.add_argument("overrides", nargs="*", metavar="key=value", help="choices and settings, see below")
+            sub.add_argument(
+                "overrides", nargs="*", metavar="key=value", help="choices and settings, see below"
+            )
         if name == "status":
             sub.add_argument("--folder", default="runs", type=Path, help="where to look (default: runs)")
         if name == "score":
-            sub.add_argument("folders", nargs="+", type=Path, metavar="folder", help="run folders, or folders of runs")
-            sub.add_argument("--metrics", default=None, metavar="a,b", help="metrics (default: those of the run)")
+            sub.add_argument(
+                "folders", nargs="+", type=Path, metavar="folder", help="runs, or folders of runs"
+            )
+            sub.add_argument("--metrics", default=None, metavar="a,b", help="default: those of the run")
     return top
 
 
@@ -99,13 +121,18 @@ def groups_help() -> str:
     lines = ["", "", "groups and their choices:"]
     for group in GROUPS:
         text = ", ".join(choices(group)) or "(none yet)"
-        lines.append(textwrap.fill(text, 100, initial_indent=f"  {group + '=':<10}", subsequent_indent=" " * 12))
-    lines += ["", "settings: any key of a YAML file in conf/, as seed=1, device=cpu, task.far_views=4, run.folder=elsewhere"]
+        lines.append(
+            textwrap.fill(text, 100, initial_indent=f"  {group + '=':<10}", subsequent_indent=" " * 12)
+        )
+    lines += [
+        "",
+        "settings: any key of a YAML file in conf/, as seed=1, device=cpu, run.folder=elsewhere",
+    ]
     return "\n".join(lines)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status: 0 done, 1 a bug or failed runs, 2 a mistake to mend, 130 interrupted."""
+    """Entry point; the exit status: 0 done, 1 a bug or failed runs, 2 a mistake to mend, 130 interrupted."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     warnings.showwarning = show_warning
     signal.signal(signal.SIGTERM, stop)
@@ -115,7 +142,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options, rest = parser().parse_known_args(words)
         strange = [word for word in rest if word.startswith("-") or not hasattr(options, "overrides")]
         if strange:
-            raise PrtError(f"unknown option {strange[0]!r}; `prt {options.command or ''} --help` shows what is possible")
+            called = " ".join(["prt", *([options.command] if options.command else [])])
+            raise PrtError(f"unknown option {strange[0]!r}; see `{called} --help`")
         if options.command is None:
             parser().print_help()
             return 0
@@ -133,8 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     except Exception as error:  # a bug: still one line, the traceback on request and in FAILED
         text = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        return report(PrtError(f"{text}; this is a bug, see traceback.txt in the run folder or add --debug"), 1,
-                      "--debug" in words)
+        return report(PrtError(text + BUG), 1, "--debug" in words)
 
 
 def in_order(words: list[str], overrides: list[str]) -> list[str]:
@@ -149,12 +176,12 @@ def report(error: BaseException, status: int, debug: bool) -> int:
     return status
 
 
-def show_warning(message: Any, category: Any, filename: str, lineno: int, file: Any = None, line: Any = None) -> None:
+def show_warning(message: Any, *_: Any, **__: Any) -> None:
     print(f"prt: warning: {' '.join(str(message).split())}", file=sys.stderr)
 
 
 def stop(*_: object) -> None:
-    """A polite request to end (SIGTERM, a scheduler's time limit) is an interruption: the run resumes later."""
+    """A polite request to end (SIGTERM, a time limit) is an interruption: the run resumes later."""
     raise KeyboardInterrupt
 
 
@@ -186,7 +213,7 @@ def table_command(options: argparse.Namespace) -> int:
     from prt.bench import table
 
     add_conf_dirs(options.conf_dir)
-    return table.main(options.name, options.overrides) or 0
+    return table.main(options.name, options.overrides, options.dry_run) or 0
 
 
 def status_command(options: argparse.Namespace) -> int:

@@ -4,6 +4,7 @@ Which way is better comes from the metric's own definition, never from here.
 """
 
 import math
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from prt.bench.layout import Layout
-from prt.bench.results import DENOISED, direction_of, join_variant
+from prt.bench.results import direction_of, join_variant
 from prt.errors import PrtError
 from prt.metrics.registry import METRICS
 
@@ -27,7 +28,8 @@ STYLE = {
     "axes.labelcolor": "#222222", "svg.hashsalt": "prt",
 }  # fmt: skip
 AXIS_NAMES = {
-    "time/frame": "time per frame", "time/shade": "time to shade a frame", "time/light": "time per new lighting",
+    "time/frame": "time per frame", "time/shade": "time to shade a frame",
+    "time/light": "time per new lighting",
     "time/fit": "fitting time", "bytes/model": "model size",
 }  # fmt: skip
 
@@ -45,9 +47,7 @@ class Axis:
             return cls(text, "")
         metric, _, component = text.rpartition("/")
         if metric not in METRICS or component not in ("full", "direct", "indirect"):
-            raise PrtError(
-                f"chart: {text!r} is not an axis; write time/frame, bytes/model or a metric as psnr/indirect"
-            )
+            raise PrtError(f"chart: {text!r} is not an axis; write time/frame or psnr/indirect")
         return cls(metric, component)
 
     @property
@@ -80,7 +80,7 @@ def points(results: pd.DataFrame, layout: Layout, x: Axis, y: Axis, split: str) 
     found = []
     for scene in layout.scenes:
         for method, variant in layout.methods:
-            for token in ("", DENOISED):
+            for token in layout.tokens(method):
                 full = join_variant(variant, token)
                 ends = []
                 for axis in (x, y):
@@ -140,14 +140,20 @@ def draw(results: pd.DataFrame, layout: Layout, settings: dict, note: str = "") 
         for i in range(len(scenes)):
             if i + columns >= len(scenes):
                 axes[i].tick_params(labelbottom=True)
-        figure.supxlabel(f"{x.label}, {_scale_name(x)} (log scale)", fontsize=9)
-        figure.supylabel(f"{y.label}, {split} views", fontsize=9)
+                axes[i].set_xlabel(f"{x.label} ({_scale_name(x)})", fontsize=8.5)
+        for i in range(0, len(scenes), columns):
+            axes[i].set_ylabel(f"{y.label}, {split} views", fontsize=8.5)
         figure.legend(
             handles=_legend(found, looks, layout), loc="outside right upper", frameon=False, fontsize=8
         )
         if note:
-            figure.text(0.995, 0.005, note, ha="right", va="bottom", fontsize=6.5, color="#777777")
-            figure.get_layout_engine().set(rect=(0, 0.035, 1, 0.965))
+            width, height = figure.get_size_inches()
+            lines = textwrap.wrap(note, int(width * 20))
+            below = (0.05 + 0.12 * len(lines)) / height
+            figure.text(
+                0.05 / width, 0.05 / height, "\n".join(lines), va="bottom", fontsize=6.5, color="#777777"
+            )
+            figure.get_layout_engine().set(rect=(0, below, 1, 1 - below))
     return figure
 
 
@@ -186,7 +192,7 @@ def _panel(axis: Axes, found: list[Point], looks: dict, x: Axis, y: Axis) -> Non
     axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
     axis.xaxis.set_minor_formatter(NullFormatter())
-    axis.margins(x=0.15, y=0.15)
+    axis.margins(x=0.15, y=0.2)
     axis.grid(True, which="major", color="#e6e6e6", lw=0.6)
     axis.set_axisbelow(True)
     _better_arrow(axis, *better)
@@ -211,8 +217,8 @@ def _legend(found: list[Point], looks: dict, layout: Layout) -> list[Line2D]:
             handles.append(Line2D([], [], color=colour, marker=marker, ls="", ms=6, mew=1.3, label=label))
     grey = {"color": "#777777", "marker": "o", "ls": "", "ms": 6, "mew": 1.3}
     if any(p.denoised for p in found):
-        handles.append(Line2D([], [], **grey, label="denoised"))
-        handles.append(Line2D([], [], **grey, mfc="white", label="not denoised"))
+        handles.append(Line2D([], [], **grey, label="denoised after it"))
+        handles.append(Line2D([], [], **grey, mfc="white", label="as the method renders"))
     handles.append(Line2D([], [], color="#999999", lw=1, ls=(0, (4, 2)), label="Pareto front"))
     return handles
 

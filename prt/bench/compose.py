@@ -1,12 +1,10 @@
-"""From overrides to one strict, resolved configuration, and from configuration to objects.
+"""From overrides to one strict, resolved configuration.
 
 Every mistake becomes one line with the nearest right spelling.
 """
 
 import contextlib
 import difflib
-import inspect
-import io
 import os
 import re
 from collections.abc import Sequence
@@ -17,9 +15,7 @@ import torch
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import HydraException, InstantiationException
-from hydra.utils import get_class, instantiate
+from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
 
@@ -39,16 +35,17 @@ def conf_folder() -> Path:
     value = os.environ.get("PRT_CONF", "").strip()
     folder = Path(value).expanduser() if value else Path(prt.__file__).resolve().parent.parent / "conf"
     if not (folder / "config.yaml").is_file():
-        raise PrtError(f"no configuration in {folder}; set PRT_CONF to the folder that holds prt's config.yaml")
+        raise PrtError(f"no configuration in {folder}; set PRT_CONF to the folder of prt's config.yaml")
     return folder.resolve()
 
 
 def conf_folders() -> list[Path]:
-    """All folders searched for YAML files: the project's, then the user's own (``--conf-dir``, ``PRT_CONF_DIRS``)."""
-    own = [Path(part).expanduser().resolve() for part in os.environ.get("PRT_CONF_DIRS", "").split(os.pathsep) if part]
+    """Folders of YAML files: the project's, then the user's own (``--conf-dir``, ``PRT_CONF_DIRS``)."""
+    listed = os.environ.get("PRT_CONF_DIRS", "").split(os.pathsep)
+    own = [Path(part).expanduser().resolve() for part in listed if part]
     for folder in own:
         if not folder.is_dir():
-            raise PrtError(f"--conf-dir: {folder} is no folder; give the folder that holds method/, scene/, ...")
+            raise PrtError(f"--conf-dir: {folder} is no folder; give the one that holds method/, scene/, ...")
     return [conf_folder(), *own]
 
 
@@ -64,7 +61,7 @@ def searchpath_override() -> list[str]:
 
 
 def by_budget(table: dict[str, Any], *, _root_: DictConfig) -> Any:
-    """Resolver ``${by_budget:{smoke:16,laptop:64,gpu:128,paper:128}}``: the entry of the root's ``budget.name``."""
+    """Resolver ``${by_budget:{smoke:16,laptop:64,paper:128}}``: the entry of the root's ``budget.name``."""
     name = _root_.budget.name
     if name not in table:
         raise PrtError(f"budget={name} has no value here; choose from {', '.join(table)}")
@@ -96,7 +93,7 @@ def raw_compose(overrides: Sequence[str]) -> DictConfig:
 
 
 def finish(cfg: DictConfig, chosen: dict[str, Any] | None = None) -> DictConfig:
-    """Check, resolve and complete a composed configuration (with its ``hydra`` node, or with ``chosen`` given)."""
+    """Check, resolve and complete a configuration (with its ``hydra`` node, or with ``chosen`` given)."""
     chosen = dict(chosen if chosen is not None else cfg.hydra.runtime.choices)
     names = {group: str(chosen[group]).replace("/", "_") for group in GROUPS if chosen.get(group)}
     missing = [key for key in (*GROUPS, "seed", "device", "run") if cfg.get(key) is None]
@@ -132,7 +129,9 @@ def device_kind(wanted: Any) -> str:
         raise PrtError(f"device={wanted!r} is not one of auto, cpu, cuda")
     have = torch.cuda.is_available()
     if wanted == "cuda" and not have:
-        raise PrtError("device=cuda: torch sees no CUDA device here; use device=auto or device=cpu (see `prt doctor`)")
+        raise PrtError(
+            "device=cuda: torch sees no CUDA device; use device=auto or device=cpu, see `prt doctor`"
+        )
     return "cuda" if have and wanted == "auto" else str(wanted).replace("auto", "cpu")
 
 
@@ -145,7 +144,7 @@ def check_root(cfg: DictConfig) -> None:
     if not isinstance(seconds, int | float) or seconds < 0:
         raise PrtError(f"run.checkpoint_seconds={seconds!r} must be a number of seconds of at least 0")
     if not isinstance(cfg.run.repetitions, int) or cfg.run.repetitions < 30:
-        raise PrtError(f"run.repetitions={cfg.run.repetitions!r} must be an integer of at least 30 (the timing protocol)")
+        raise PrtError(f"run.repetitions={cfg.run.repetitions!r} must be an integer of at least 30")
     for name in cfg.run.metrics:
         metric_of(name)
     for key in ("run.denoise", "run.images.save"):
@@ -155,7 +154,7 @@ def check_root(cfg: DictConfig) -> None:
 
 
 def hashed_settings(cfg: DictConfig) -> dict[str, Any]:
-    """What determines a run's results, as plain data: everything but ``run.*`` bookkeeping and descriptions."""
+    """What determines a run's results, as plain data: all but bookkeeping and descriptions."""
     plain = OmegaConf.to_container(cfg, resolve=True)
     plain["run"] = {key: value for key, value in plain["run"].items() if key not in RUN_ONLY}
     plain["budget"] = plain["budget"]["name"]
@@ -173,7 +172,7 @@ def check_additions(overrides: Sequence[str]) -> None:
             continue
         if any((folder / key).is_dir() for folder in conf_folders()):
             continue
-        raise PrtError(f"+{key}: nothing reads this setting; new keys can only be added to {', '.join(BUILT)}")
+        raise PrtError(f"+{key}: nothing reads this setting; new keys go only to {', '.join(BUILT)}")
 
 
 def known_key(key: str) -> bool:
@@ -202,11 +201,15 @@ def translate(error: BaseException, overrides: Sequence[str]) -> PrtError:
         group, _, name = match.group(1).rpartition("/")
         options = choices(group) or re.findall(r"^\t(\w+)$", text.split("Config search path")[0], re.M)
         if name and options:
-            return PrtError(f"{group}={name} does not exist{near(name, options)}; choose from {', '.join(options)}")
+            hint = near(name, options)
+            return PrtError(f"{group}={name} does not exist{hint}; choose from {', '.join(options)}")
     if "Ambiguous value" in text:
         return PrtError(f"{text.splitlines()[0]}: several values are a sweep, add -m; a list is key=[a,b]")
-    if match := re.search(r"Error parsing override '([^']+)'", text):
-        return PrtError(f"cannot read {match.group(1)!r}: an override is key=value, as in scene=cornell_glossy or seed=1")
+    if isinstance(error, OverrideParseException):
+        return PrtError(
+            f"cannot read {error.override!r}: an override is key=value, as in seed=1 or scene=kitchen, "
+            "a list is key=[1,2], odd characters need quotes"
+        )
     return PrtError(" ".join(text.split()))
 
 
@@ -249,59 +252,3 @@ def all_keys(cfg: DictConfig) -> list[str]:
 
     visit({k: v for k, v in OmegaConf.to_container(cfg, resolve=False).items() if k != "hydra"}, "")
     return [key for key in found if not key.endswith("_target_")]
-
-
-def is_sweep(overrides: Sequence[str]) -> bool:
-    """Whether some override lists several values (``scene=a,b``)."""
-    with contextlib.suppress(HydraException):
-        return any(override.is_sweep_override() for override in OverridesParser.create().parse_overrides(list(overrides)))
-    return False
-
-
-def build(cfg: DictConfig, group: str, **objects: Any) -> Any:
-    """Instantiate the group's ``_target_`` with its settings, and with ``objects`` passed on untouched.
-
-    Raises:
-        PrtError: if the target cannot be imported or does not know a setting, naming it and what is allowed.
-    """
-    settings = cfg[group]
-    target = settings.get("_target_")
-    if not target:
-        raise PrtError(f"conf/{group}/{cfg.choice[group]}.yaml has no _target_; name the class to build there")
-    noise = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(noise):
-            # partial first: Hydra would copy the objects into a config node
-            make = instantiate(settings, _partial_=True, _convert_="all")
-    except InstantiationException as error:
-        raise find_own(error) or PrtError(
-            f"{group}._target_={target} cannot be built: {' '.join(str(error.__cause__ or error).split())}; "
-            "check the name, and that its package is installed or in the current folder"
-        ) from error
-    try:
-        inspect.signature(make.func).bind(**make.keywords, **objects)
-    except TypeError as error:
-        raise constructor_error(group, make.func, error) from error
-    return make(**objects)
-
-
-def constructor_error(group: str, func: Any, error: TypeError) -> PrtError:
-    """A setting the constructor does not know, or misses, in one line."""
-    takes = [name for name in inspect.signature(func).parameters if name not in ("scene", "lighting")]
-    match = re.search(r"unexpected keyword argument '(\w+)'", str(error))
-    if match:
-        hint = near(match.group(1), takes)
-        return PrtError(
-            f"{group}.{match.group(1)} is not a setting of {func.__name__}{hint}; it takes {', '.join(takes) or 'none'}"
-        )
-    return PrtError(f"{group}: {func.__name__}: {error}; it takes {', '.join(takes) or 'none'}")
-
-
-def target_class(group: str, name: str) -> type | None:
-    """The class a YAML of a group names, None where it cannot be imported here."""
-    for folder in reversed(conf_folders()):
-        path = folder / group / f"{name}.yaml"
-        if path.exists():
-            with contextlib.suppress(Exception):
-                return get_class(OmegaConf.to_container(OmegaConf.load(path))["_target_"])
-    return None

@@ -18,8 +18,14 @@ from prt.paths import DATA_HELP, cache_folder, data_folder
 
 #: what needs no package of its own to run, but adds something
 EXTRAS = {
-    "hydra_plugins.hydra_ray_launcher": ("hydra-ray-launcher", "pip install hydra-ray-launcher (sweeps on a Ray cluster)"),
-    "hydra_plugins.hydra_submitit_launcher": ("hydra-submitit-launcher", "pip install hydra-submitit-launcher (sweeps on Slurm)"),
+    "hydra_plugins.hydra_ray_launcher": (
+        "hydra-ray-launcher",
+        "pip install hydra-ray-launcher (sweeps on a Ray cluster)",
+    ),
+    "hydra_plugins.hydra_submitit_launcher": (
+        "hydra-submitit-launcher",
+        "pip install hydra-submitit-launcher (sweeps on Slurm)",
+    ),
     "torchvision": ("torchvision", "pip install torchvision lpips (LPIPS weights without PRT_DATA)"),
 }
 #: folders of PRT_DATA and what they serve
@@ -68,14 +74,23 @@ def guarded(check: Callable[[], list[Finding]]) -> list[Finding]:
 
 
 def packages() -> list[Finding]:
-    found = [Finding("ok" if sys.version_info >= (3, 10) else "broken", "python",
-                     f"{sys.version.split()[0]} at {sys.executable}; 3.10 or newer is needed")]
+    found = [
+        Finding(
+            "ok" if sys.version_info >= (3, 10) else "broken",
+            "python",
+            f"{sys.version.split()[0]} at {sys.executable}; 3.10 or newer is needed",
+        )
+    ]
     for name in PACKAGES:
         version = package_version(name)
         if version:
             found.append(Finding("ok", name, version))
         elif name == "karellen-llvm-core":  # only one of the ways to get an LLVM
-            found.append(Finding("missing", name, f"pip install {name} (an LLVM for Mitsuba where the system has none)"))
+            found.append(
+                Finding(
+                    "missing", name, f"pip install {name} (an LLVM for Mitsuba where the system has none)"
+                )
+            )
         else:
             found.append(Finding("broken", name, f"not installed; pip install {name}, or reinstall prt"))
     return found
@@ -89,13 +104,20 @@ def rendering() -> list[Finding]:
     variant = mi.variant()
     found = [Finding("ok", "variant", f"{variant} (PRT_MITSUBA_VARIANT chooses another)")]
     if variant.startswith("scalar"):
-        found.append(Finding("missing", "LLVM", "no usable libLLVM: slow, no transport recorder; pip install karellen-llvm-core"))
+        found.append(
+            Finding(
+                "missing",
+                "LLVM",
+                "no usable libLLVM: slow, no transport recorder; pip install karellen-llvm-core",
+            )
+        )
     elif variant.startswith("llvm"):
         found.append(Finding("ok", "LLVM", str(find_llvm())))
+    camera = mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0])
     scene = mi.load_dict({
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 3},
-        "sensor": {"type": "perspective", "to_world": mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]),
+        "sensor": {"type": "perspective", "to_world": camera,
                    "film": {"type": "hdrfilm", "width": 16, "height": 16}},
         "ball": {"type": "sphere"},
         "light": {"type": "constant"},
@@ -104,7 +126,14 @@ def rendering() -> list[Finding]:
     image = torch.as_tensor(mi.render(scene, spp=4).numpy())
     seconds = time.perf_counter() - started
     if not image.isfinite().all() or image.max() <= 0:
-        return [*found, Finding("broken", "render", "a lit sphere came out black or not finite; try PRT_MITSUBA_VARIANT=scalar_rgb")]
+        return [
+            *found,
+            Finding(
+                "broken",
+                "render",
+                "a lit sphere came out black or not finite; try PRT_MITSUBA_VARIANT=scalar_rgb",
+            ),
+        ]
     return [*found, Finding("ok", "render", f"a sphere in {seconds:.2f} s, compilation included")]
 
 
@@ -118,7 +147,13 @@ def denoiser() -> list[Finding]:
 
 
 def computing() -> list[Finding]:
-    found = [Finding("ok", "CPU", f"{os.cpu_count()} cores, torch uses {torch.get_num_threads()} threads (OMP_NUM_THREADS)")]
+    found = [
+        Finding(
+            "ok",
+            "CPU",
+            f"{os.cpu_count()} cores, torch uses {torch.get_num_threads()} threads (OMP_NUM_THREADS)",
+        )
+    ]
     if torch.cuda.is_available():
         found.append(Finding("ok", "CUDA", torch.cuda.get_device_name()))
     else:
@@ -145,7 +180,11 @@ def lpips_weights() -> list[Finding]:
     from prt.metrics.lpips import lpips_unavailable
 
     reason = lpips_unavailable("alex")
-    return [Finding("missing", "LPIPS", f"{reason}") if reason else Finding("ok", "LPIPS", "AlexNet weights found")]
+    return [
+        Finding("missing", "LPIPS", f"{reason}")
+        if reason
+        else Finding("ok", "LPIPS", "AlexNet weights found")
+    ]
 
 
 def cache() -> list[Finding]:
@@ -156,10 +195,16 @@ def cache() -> list[Finding]:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise PrtError(f"{folder} cannot be written ({error.strerror}); set PRT_CACHE to another folder") from error
+        raise PrtError(
+            f"{folder} cannot be written ({error.strerror}); set PRT_CACHE to another folder"
+        ) from error
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     free = shutil.disk_usage(folder).free
-    return [Finding("ok", "PRT_CACHE", f"{folder}, {size / 1e6:.0f} MB used, {free / 1e9:.0f} GB free; safe to delete")]
+    return [
+        Finding(
+            "ok", "PRT_CACHE", f"{folder}, {size / 1e6:.0f} MB used, {free / 1e9:.0f} GB free; safe to delete"
+        )
+    ]
 
 
 def configuration() -> list[Finding]:
@@ -179,7 +224,9 @@ def extras() -> list[Finding]:
             there = importlib.util.find_spec(module) is not None
         except ModuleNotFoundError:
             there = False
-        found.append(Finding("ok", name, package_version(name) or "") if there else Finding("missing", name, how))
+        found.append(
+            Finding("ok", name, package_version(name) or "") if there else Finding("missing", name, how)
+        )
     return found
 
 
@@ -194,4 +241,3 @@ CHECKS: dict[str, Callable[[], list[Finding]]] = {
     "configuration": configuration,
     "optional extras": extras,
 }
-

@@ -22,7 +22,7 @@ Row = tuple[str, ...]
 
 
 def evaluate_run(folder: RunFolder, cfg: DictConfig, task: Any, method: Any) -> None:
-    """Fill metrics.csv and images/ for every item of ``task.tests()``, going on where an earlier attempt stopped."""
+    """Fill metrics.csv and images/ for every item of ``task.tests()``, going on after those that are done."""
     items, rows = task.tests(), folder.metric_rows()
     if not items:
         raise PrtError("the task has no test items; raise task.near_views or task.far_views")
@@ -70,8 +70,8 @@ def render(method: Any, item: Any, device: str) -> Float[Tensor, "H W 3"]:
     radiance = method.shade(gbuffer, method.light(item.lighting.to(device))).detach().float().cpu()
     if radiance.shape != (len(gbuffer), 3):
         raise PrtError(
-            f"{type(method).__name__}.shade returned shape {tuple(radiance.shape)} for {len(gbuffer)} points; "
-            "it must return one RGB radiance per point, (N, 3)"
+            f"{type(method).__name__}.shade returned shape {tuple(radiance.shape)} "
+            f"for {len(gbuffer)} points; it must return one RGB radiance per point, (N, 3)"
         )
     return item.gbuffer.image(radiance)
 
@@ -118,9 +118,8 @@ def time_run(folder: RunFolder, cfg: DictConfig, task: Any, method: Any) -> None
         scene = getattr(task, "mitsuba_scene", None)
         if scene is not None and item.gbuffer.view is not None:
             found["gbuffer"] = time_gbuffer(scene, item.gbuffer.view, cfg.run.repetitions)
-    folder.add_timing(
-        **found, bytes=int(method.nbytes()), pixels=len(gbuffer), device=device, threads=torch.get_num_threads()
-    )
+    machine = {"device": device, "threads": torch.get_num_threads()}
+    folder.add_timing(**found, **machine, bytes=int(method.nbytes()), pixels=len(gbuffer))
 
 
 def time_gbuffer(scene: Any, view: Any, repetitions: int) -> dict[str, Any]:

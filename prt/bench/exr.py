@@ -39,7 +39,7 @@ def read_exr(path: Path) -> Float[Tensor, "H W 3"]:
     import OpenEXR
 
     if not path.exists():
-        raise PrtError(f"image not found: {path}; it is kept only with run.images.save=true, run again with that")
+        raise PrtError(f"image not found: {path}; it is kept only with run.images.save=true")
     try:
         with OpenEXR.File(str(path)) as file:
             return torch.from_numpy(np.ascontiguousarray(file.channels()["RGB"].pixels, dtype=np.float32))

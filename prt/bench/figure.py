@@ -1,7 +1,7 @@
 """The picture behind the table: reference, each method, and where each is wrong.
 
-Every row is one test image (a scene under a lighting), shown as the metrics saw it: exposed after its reference,
-clipped and sRGB encoded, with the error map below each method and its PSNR under that.
+Every row is one test image (a scene under a lighting), shown as the metrics saw it: exposed after its
+reference, clipped and sRGB encoded, with the error map below each method and its PSNR under that.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ References = Callable[[Cell, str, str, str], dict[str, Image]]
 #: inches a picture takes on the page
 SIDE = 1.75
 #: the end of the error maps' scale, in displayed values (0 to 1)
-ERROR_END = 0.25
+ERROR_END = 0.15
 CROP_COLOURS = ["#E69F00", "#56B4E9"]
 
 
@@ -53,10 +53,10 @@ def gather(
     """The rows of the figure, and notes of what could not be shown and why.
 
     Args:
-        settings: ``rows``, a list of {scene, split, view, lighting, component, crops}, of which only ``scene``
-            must be given (by default every scene); view and lighting are names or places in the list of tests.
-            ``component`` (``indirect``), ``split`` (the first column's) and ``denoised`` (true where there are
-            denoised images) hold for all rows.
+        settings: ``rows``, a list of {scene, split, view, lighting, component, crops}, of which only
+            ``scene`` must be given (by default every scene); view and lighting are names or places in the list
+            of tests. ``component`` (``indirect``), ``split`` (the first column's) and ``denoised`` (true where
+            there are denoised images) hold for all rows.
     """
     rows, notes = [], []
     wanted = settings.get("rows") or [{"scene": scene} for scene in layout.scenes]
@@ -99,7 +99,7 @@ def _row(cells, images, layout: Layout, entry: dict, view: str, lighting: str, r
         )
         if cell is None:
             continue
-        denoised = entry.get("denoised", True)
+        denoised = entry.get("denoised", True) and DENOISED in layout.tokens(method)
         path = cell.run.image_file(split, view, lighting, component, denoised)
         if denoised and not path.exists():
             denoised, path = False, cell.run.image_file(split, view, lighting, component, False)
@@ -134,14 +134,14 @@ def draw(rows: list[Row], layout: Layout) -> Figure | None:
     heights = []  # of the bands: pictures, error maps with PSNR, then the enlarged crops
     for row in rows:
         aspect = row.reference.shape[0] / row.reference.shape[1]
-        heights.append([aspect, aspect + 0.13, *[0.5 * aspect] * bool(row.crops), 0.16])
+        heights.append([aspect, aspect + 0.13, *[0.5 * aspect] * bool(row.crops), 0.05])
     flat = [h for band in heights for h in band]
-    width, height = (1 + len(labels)) * SIDE + 0.75, sum(flat) * SIDE + 0.55
+    width, height = (1 + len(labels)) * SIDE + 0.36, sum(flat) * SIDE + 0.55
     with matplotlib.rc_context({"font.family": "DejaVu Sans", "font.size": 8.5}):
         figure = Figure(figsize=(width, height))
         grid = figure.add_gridspec(
             len(flat), 1 + len(labels), height_ratios=flat, wspace=0.025, hspace=0.03,
-            left=0.3 / width, right=1 - 0.45 / width, top=1 - 0.27 / height, bottom=0.25 / height,
+            left=0.3 / width, right=1 - 0.06 / width, top=1 - 0.27 / height, bottom=0.25 / height,
         )  # fmt: skip
         at = 0
         for number, (row, bands) in enumerate(zip(rows, heights, strict=True)):
@@ -149,7 +149,7 @@ def draw(rows: list[Row], layout: Layout) -> Figure | None:
             at += len(bands)
         figure.text(
             0.3 / width, 0.08 / height,
-            f"Error maps: mean over channels of |method - reference| in displayed (sRGB) values, 0 to {ERROR_END:g}. "
+            f"Error maps: mean over channels of |method - reference| in displayed (sRGB) values. "
             "Exposure: 95th percentile of the reference to 0.8 linear.",
             fontsize=6.5, color="#666666",
         )  # fmt: skip
@@ -215,7 +215,7 @@ def _facts(axis: Axes, row: Row) -> None:
     bar = axis.inset_axes([0.02, 0.24, 0.9, 0.07])
     bar.imshow(np.linspace(0, 1, 256)[None], cmap="magma", aspect="auto", extent=(0, ERROR_END, 0, 1))
     bar.set_yticks([])
-    bar.set_xticks([0, ERROR_END / 2, ERROR_END])
+    bar.set_xticks([0, ERROR_END], ["0", f"≥ {ERROR_END:g}"])
     bar.tick_params(labelsize=6.5, length=2, pad=1.5, color="#888888")
     bar.set_title("error", fontsize=7, pad=2, color="#444444")
 

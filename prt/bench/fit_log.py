@@ -80,13 +80,15 @@ class RunLog:
         for name, value in values.items():
             if not math.isfinite(value):
                 kept = f"step {self.kept}" if self.kept else "none yet"
+                became = "NaN" if math.isnan(value) else "infinite"
                 raise PrtError(
-                    f"{name} became {'NaN' if math.isnan(value) else 'infinite'} at step {step}, last good checkpoint: "
-                    f"{kept}; lower the method's learning rates or check the lighting, then run again"
+                    f"{name} became {became} at step {step}, last good checkpoint: {kept}; "
+                    "lower the method's learning rates or check the lighting, then run again"
                 )
         self._row(step, values)
         if self.bar is not None:
-            self.bar.advance(step - self.last, note="  ".join(f"{name} {value:.3g}" for name, value in values.items()))
+            note = "  ".join(f"{name} {value:.3g}" for name, value in values.items())
+            self.bar.advance(step - self.last, note=note)
         self.last = step
 
     def checkpoint_due(self, step: int) -> bool:
@@ -95,7 +97,8 @@ class RunLog:
     def save(self, step: int, state: dict[str, Any]) -> None:
         if self.file is not None:  # the log must not lag behind the state if the machine dies
             os.fsync(self.file.fileno())
-        content = pack({"step": step, "seconds": self.seconds, "random": torch.get_rng_state(), "state": state})
+        random = torch.get_rng_state()
+        content = pack({"step": step, "seconds": self.seconds, "random": random, "state": state})
         current, previous = self._states()
         if current.exists():
             os.replace(current, previous)
@@ -132,7 +135,8 @@ class RunLog:
         new = [name for name in values if name not in self.columns]
         if new or self.file is None:
             self._reopen([*self.columns, *new])
-        row = {"step": step, "seconds": f"{self.seconds:.3f}"} | {name: repr(float(v)) for name, v in values.items()}
+        row = {"step": step, "seconds": f"{self.seconds:.3f}"}
+        row |= {name: repr(float(value)) for name, value in values.items()}
         self.file.write(",".join(str(row.get(name, "")) for name in self.columns) + "\n")
         self.file.flush()
 
@@ -144,7 +148,8 @@ class RunLog:
         if path.exists():
             with path.open(newline="") as file:
                 # a row cut short by a kill has no step or too few values
-                rows = [row for row in csv.DictReader(file) if (row["step"] or "").isdigit() and None not in row.values()]
+                whole = [row for row in csv.DictReader(file) if None not in row.values()]
+                rows = [row for row in whole if row["step"].isdigit()]
         if last_step is not None:
             rows = [row for row in rows if int(row["step"]) <= last_step]
         lines = [",".join(columns)] + [",".join(row.get(name) or "" for name in columns) for row in rows]
@@ -185,7 +190,9 @@ def pack(state: dict[str, Any]) -> Tensors:
             value = value.item()
         if value is None or isinstance(value, bool | int | float | str):
             return {"value": value}
-        raise TypeError(f"training state {path}: cannot keep a {type(value).__name__}; give tensors, numbers or strings")
+        raise TypeError(
+            f"training state {path}: cannot keep a {type(value).__name__}, give tensors or numbers"
+        )
 
     text = json.dumps(visit(state, ""))
     tensors[TREE] = torch.frombuffer(bytearray(text.encode()), dtype=torch.uint8)

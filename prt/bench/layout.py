@@ -27,14 +27,18 @@ class Layout:
     metrics: list[str] = field(default_factory=lambda: ["psnr", "ssim", "lpips"])
     components: list[str] = field(default_factory=lambda: ["full", "indirect"])
     splits: list[str] = field(default_factory=lambda: ["far", "near"])
-    labels: dict[str, str] = field(
-        default_factory=dict
-    )  #: of methods and scenes, where the name is not enough
+    as_is: list[str] = field(default_factory=list)  #: methods shown only without denoising after them
+    #: of methods and scenes, where the name is not enough
+    labels: dict[str, str] = field(default_factory=dict)
 
     def label(self, name: str) -> str:
         return self.labels.get(
             name, name.replace("_", " ").title() if name in self.scenes else name.replace("_", " ")
         )
+
+    def tokens(self, method: str) -> list[str]:
+        """Variant tokens under which a method is shown: as it renders, then denoised."""
+        return [""] if method in self.as_is else ["", DENOISED]
 
     def method_label(self, method: str, variant: str) -> str:
         return self.label(method) + (f" ({variant})" if variant else "")
@@ -108,7 +112,7 @@ def quality_sheet(
     for metric in layout.metrics:
         block = []
         for method, variant in layout.methods:
-            for token in ("", DENOISED):
+            for token in layout.tokens(method):
                 places = [
                     [
                         (scene, method, join_variant(variant, token), split, part, metric)
@@ -123,13 +127,17 @@ def quality_sheet(
                 if never or (column != "value" and not _any_number(values)):
                     continue
                 block.append((method, variant, token, values, gone))
-        best = _best([row[3] for row in block], metric) if column != "half" else {}
+        best = _best([row[3] for row in block], metric) if column != "half" else set()
         for i, (method, variant, token, values, gone) in enumerate(block):
             entries = [
                 _entry(cell, metric, gone[j], [(i, j, k) in best for k in range(len(cell))], sheet, column)
                 for j, cell in enumerate(values)
             ]
-            lead = [metric_label(metric), layout.method_label(method, variant), "yes" if token else "no"]
+            lead = [
+                metric_label(metric),
+                layout.method_label(method, variant),
+                "yes" if token else "–" if method in layout.as_is else "no",
+            ]
             sheet.rows.append((lead, entries))
     if column == "value":
         seen = {(s, m, v): r for (s, m, v), r in reasons.items() if s in layout.scenes}
@@ -171,7 +179,8 @@ def _entry(cell: list, metric: str, gone: str | None, best: list[bool], sheet: S
 
 COSTS = [
     ("time/fit", "fit (s)", 1.0), ("time/light", "light (ms)", 1e3), ("time/gbuffer", "G-buffer (ms)", 1e3),
-    ("time/shade", "shade (ms)", 1e3), ("time/denoise", "denoise (ms)", 1e3), ("time/frame", "frame (ms)", 1e3),
+    ("time/shade", "shade (ms)", 1e3), ("time/denoise", "denoise (ms)", 1e3),
+    ("time/frame", "frame (ms)", 1e3),
     ("bytes/model", "model (MB)", 1e-6),
 ]  # fmt: skip
 
@@ -202,7 +211,7 @@ def cost_sheet(results: pd.DataFrame, layout: Layout) -> Sheet:
 
 
 def error_sheet(results: pd.DataFrame, layout: Layout) -> Sheet:
-    """Where the error comes from: PSNR with only one source of error left in, beside the whole and the floor."""
+    """Where the error comes from: PSNR with one source of error left in, beside the whole."""
     parts = sorted({m for m in results["metric"] if m.startswith("psnr/")})
     names = ["psnr", *parts, NOISE_FLOOR]
     heads = ["all errors", *[m.partition("/")[2].replace("_", " ") for m in parts], "reference noise floor"]
@@ -211,7 +220,7 @@ def error_sheet(results: pd.DataFrame, layout: Layout) -> Sheet:
     plain = results[results["metric"].isin(names) & results["variant"].isin([v for _, v in layout.methods])]
     for (scene, split, method, component), rows in plain.groupby(key, sort=False):
         value = rows.drop_duplicates("metric").set_index("metric")["value"].astype(float).dropna()
-        if scene in layout.scenes and any(m in value for m in [*parts, NOISE_FLOOR]):
+        if scene in layout.scenes and any(m in value for m in parts):
             cells = [Entry([f"{value[m]:.2f}" if m in value else MISSING]) for m in names]
             sheet.rows.append(([layout.label(scene), split, layout.label(method), component], cells))
     return sheet
@@ -262,17 +271,18 @@ def latex(text: str) -> str:
     return "".join(table.get(c, "\\" + c if c in "&%$#_{}" else c) for c in text)
 
 
-def to_rich(sheet: Sheet) -> Table:
-    """For the terminal."""
-    table = Table(
-        title=sheet.title, title_justify="left", caption="\n".join(sheet.notes), caption_justify="left"
-    )
+def to_rich(sheet: Sheet, group: int = 0) -> Table:
+    """One group of columns for the terminal."""
+    first = sum(len(heads) for _, heads in sheet.groups[:group])
+    name, heads = sheet.groups[group]
+    title = f"{sheet.title}: {name}" if name else sheet.title
+    table = Table(title=title, title_justify="left", caption="\n".join(sheet.notes), caption_justify="left")
     for head in sheet.lead:
         table.add_column(head)
-    for group, heads in sheet.groups:
-        for head in heads:
-            table.add_column(f"{head}\n{group}" if group else head, justify="right", no_wrap=True)
+    for head in heads:
+        table.add_column(head, justify="right")
     for i, (lead, row) in enumerate(sheet.rows):
-        table.add_row(*lead, *(e.text("[bold]{}[/bold]".format) for e in row),
-                      end_section=i + 1 < len(sheet.rows) and sheet.rows[i + 1][0][0] != lead[0])  # fmt: skip
+        last = i + 1 < len(sheet.rows) and sheet.rows[i + 1][0][0] != lead[0]
+        cells = [e.text("[bold]{}[/bold]".format) for e in row[first : first + len(heads)]]
+        table.add_row(*lead, *cells, end_section=last)
     return table

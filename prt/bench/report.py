@@ -46,9 +46,6 @@ def write_report(
         PrtError: for damaged run folders, a wrong published file, or a folder that cannot be written.
     """
     folder = spec.report
-    write_atomically(
-        folder / "results.csv", b""
-    )  # fails here, before any work, where the folder cannot be written
     images = read_images(cells)
     published = read_published(spec.published) if spec.published else None
     write_results(summarise(cells, images, published), folder / "results.csv")
@@ -76,18 +73,24 @@ def write_report(
     console = console or Console()
     # a pipe has no width; a table cut to 80 columns cannot be read
     wide = console if console.is_terminal else Console(file=console.file, width=200)
-    for sheet in sheets[:1] + [s for s in sheets if s.title == layout.COST_TITLE]:
-        wide.print(layout.to_rich(sheet))
+    for group in range(len(plan.splits)):  # one table a split: all side by side would not fit a screen
+        wide.print(layout.to_rich(sheets[0], group))
+    for sheet in sheets:
+        if sheet.title == layout.COST_TITLE:
+            wide.print(layout.to_rich(sheet))
     for row in verdicts[verdicts["scene"].isin(SCOPES.values())].itertuples() if len(verdicts) else ():
-        console.print(f"{SIGNS[row.verdict]}: {row.claim} ({row.note})", markup=False, highlight=False)
+        console.print(
+            f"{SIGNS[row.verdict]}: {row.claim} ({row.note})", markup=False, highlight=False, soft_wrap=True
+        )
     console.print(f"report: {folder / 'report.md'}", soft_wrap=True, markup=False, highlight=False)
 
 
 def make_sheets(spec: "Spec", plan: Layout, results: pd.DataFrame, reasons: dict) -> list[Sheet]:
-    """All sheets of table.md: measured, intervals, costs, error split, and apart from them the published one."""
+    """All sheets of table.md: measured, intervals, costs, error split; apart from them the published one."""
     budgets = sorted({b for b in results.loc[results["n"].notna(), "budget"]})
     devices = sorted({d for d in results.loc[results["n"].notna(), "device"] if d})
-    where = f"Measured by this project (budget {', '.join(budgets) or 'unknown'}; {'; '.join(devices) or 'no runs yet'})"
+    shown = f"budget {', '.join(budgets)}; {'; '.join(devices)}" if budgets else "no runs yet"
+    where = f"Measured by this project ({shown})"
     sheets = [layout.quality_sheet(results, plan, "value", where, reasons)]
     sheets.append(layout.quality_sheet(results, plan, "half", "Half width of the 95 % interval of each mean"))
     sheets.append(layout.cost_sheet(results, plan))
@@ -98,7 +101,7 @@ def make_sheets(spec: "Spec", plan: Layout, results: pd.DataFrame, reasons: dict
 
 
 def draw_pictures(spec, plan, cells, images, results, references) -> list[str]:
-    """Write the chart and the figure; returns notes of what is missing in them, and removes pictures of old."""
+    """Write the chart and the figure; returns notes of what is missing in them; removes old ones."""
     for name in ("chart.svg", "chart.png", "figure.png"):
         (spec.report / name).unlink(missing_ok=True)
     notes = []
@@ -157,8 +160,9 @@ def claims_text(verdicts: pd.DataFrame) -> str:
     """Claims with their verdicts over all scenes, then the figures scene by scene."""
     overall = verdicts[verdicts["scene"].isin(SCOPES.values())]
     lines = [
-        "A claim holds (fails) on a scene where the whole 95 % interval of the difference lies on its (the other) side; "
-        "otherwise it is undecided. Differences are left minus right; `>` means better. Details: [claims.csv](claims.csv).",
+        "A claim holds (fails) on a scene where the whole 95 % interval of the difference lies on its (the other) "
+        "side; otherwise it is undecided. Differences are left minus right; `>` means better, whichever way the "
+        "metric runs. Details: [claims.csv](claims.csv).",
         "", "| claim | verdict | scenes |", "|---|---|---|",
     ]  # fmt: skip
     lines += [f"| `{_cell(r.claim)}` | {SIGNS[r.verdict]} | {r.note} |" for r in overall.itertuples()]
@@ -220,7 +224,7 @@ def floor_text(results: pd.DataFrame, plan: Layout) -> str:
     if not len(floors):
         return "Not measured by these runs."
     lines = [
-        "A reference judges only figures at least 10 dB below its own noise floor (PSNR between two seeds, dB).",
+        "PSNR between two seeds (dB). A reference judges only figures at least 10 dB below its own noise floor.",
         "",
     ]
     for (scene, split, component), rows in floors.groupby(["scene", "split", "component"], sort=False):
@@ -256,7 +260,7 @@ def definitions(plan: Layout) -> str:
     """The metrics' own definitions."""
     lines = [f"- {METRICS[m].label}: {METRICS[m].definition}" for m in plan.metrics]
     lines.append(
-        "- Means are over test images (views times lightings, unseen in fitting), each first averaged over seeds; "
-        "intervals count images of one view, or under one lighting, as one draw, whichever is wider."
+        "- Means are over test images (views times lightings, unseen in fitting), each first averaged over "
+        "seeds; intervals count images of one view, or under one lighting, as one draw, whichever is wider."
     )
     return textwrap.dedent("\n".join(lines))

@@ -17,6 +17,7 @@ import torch
 from omegaconf import DictConfig
 
 from prt.bench import compose, provenance
+from prt.bench.build import build, target_class
 from prt.bench.evaluate import evaluate_run, time_run
 from prt.bench.fit_log import RunLog
 from prt.bench.run_folder import RunFolder, file_name, run_hash
@@ -27,7 +28,8 @@ from prt.errors import PrtError
 def folder_of(cfg: DictConfig) -> RunFolder:
     """Where the run of a composed configuration lies: ``<run.folder>/<task>/<scene>/<method>/<hash>``."""
     names = [file_name(cfg.choice[group]) for group in ("task", "scene", "method")]
-    return RunFolder(Path(cfg.run.folder).expanduser().joinpath(*names, run_hash(compose.hashed_settings(cfg))))
+    last = run_hash(compose.hashed_settings(cfg))
+    return RunFolder(Path(cfg.run.folder).expanduser().joinpath(*names, last))
 
 
 def run(cfg: DictConfig) -> RunFolder:
@@ -44,7 +46,7 @@ def run(cfg: DictConfig) -> RunFolder:
     if folder.done:
         say(f"done already: {folder.path}")
         return folder
-    task, method = build_task(cfg), compose.build(cfg, "method")
+    task, method = build_task(cfg), build(cfg, "method")
     check_task(cfg, task, method)
     with folder.lock():
         if folder.done:  # by another process while this one waited or built
@@ -62,18 +64,21 @@ def run(cfg: DictConfig) -> RunFolder:
 
 def build_task(cfg: DictConfig) -> Any:
     """The task with its scene and lighting."""
-    return compose.build(cfg, "task", scene=compose.build(cfg, "scene"), lighting=compose.build(cfg, "lighting"))
+    return build(cfg, "task", scene=build(cfg, "scene"), lighting=build(cfg, "lighting"))
 
 
 def check_task(cfg: DictConfig, task: Any, method: Any) -> None:
     """Refuse a method that cannot do the task, naming those that can."""
     if task.name in method.tasks:
         return
-    able = [name for name in compose.choices("method")
-            if task.name in getattr(compose.target_class("method", name), "tasks", ())]
+    able = [
+        name
+        for name in compose.choices("method")
+        if task.name in getattr(target_class("method", name), "tasks", ())
+    ]
     raise PrtError(
-        f"method={cfg.choice.method} cannot do task={cfg.choice.task} (it can do {', '.join(sorted(method.tasks))}); "
-        f"methods that can: {', '.join(able) or 'none'}"
+        f"method={cfg.choice.method} cannot do task={cfg.choice.task} "
+        f"(it can do {', '.join(sorted(method.tasks))}); methods that can: {', '.join(able) or 'none'}"
     )
 
 
@@ -83,7 +88,7 @@ def carry_out(folder: RunFolder, cfg: DictConfig, task: Any, method: Any) -> Non
     if not whole_checkpoint(folder):
         fit(folder, cfg, task, method)
     # what is judged is what was stored: a fresh method, read back from the file
-    fitted = compose.build(cfg, "method")
+    fitted = build(cfg, "method")
     fitted.load(folder.checkpoint, task, device)
     del method
     evaluate_run(folder, cfg, task, fitted)
@@ -100,9 +105,8 @@ def fit(folder: RunFolder, cfg: DictConfig, task: Any, method: Any) -> None:
         method.fit(baked, log, int(cfg.seed), str(cfg.device))
         seconds = log.seconds
     earlier = folder.timing().get("bake", 0.0)
-    folder.add_timing(
-        fit=seconds, bake=earlier + baked.seconds, device=str(cfg.device), threads=torch.get_num_threads()
-    )
+    bake = earlier + baked.seconds - baked.references
+    folder.add_timing(fit=seconds, bake=bake, device=str(cfg.device), threads=torch.get_num_threads())
     temporary = folder.checkpoint.with_suffix(".part")
     method.save(temporary)
     write_atomically(digest_file(folder), (digest(temporary) + "\n").encode())
@@ -110,10 +114,15 @@ def fit(folder: RunFolder, cfg: DictConfig, task: Any, method: Any) -> None:
 
 
 class Baking:
-    """A task seen through a stopwatch: the seconds spent in it while a method fits are precomputation, not training."""
+    """A task seen through a stopwatch: the seconds spent in it while a method fits are not training.
+
+    Attributes:
+        seconds: all of them.
+        references: of those, the ones for the test items, which no method is charged for.
+    """
 
     def __init__(self, task: Any):
-        self._task, self.seconds = task, 0.0
+        self._task, self.seconds, self.references = task, 0.0, 0.0
 
     def __getattr__(self, name: str) -> Any:
         value = self._clocked(lambda: getattr(self._task, name))
@@ -122,7 +131,10 @@ class Baking:
 
         @functools.wraps(value)
         def call(*arguments: Any, **settings: Any) -> Any:
-            return self._clocked(lambda: value(*arguments, **settings))
+            before = self.seconds
+            result = self._clocked(lambda: value(*arguments, **settings))
+            self.references += self.seconds - before if name == "tests" else 0.0
+            return result
 
         return call
 
@@ -161,8 +173,10 @@ def summary(folder: RunFolder) -> str:
     for (split, component, denoised), rows in metrics[metrics.metric == "psnr"].groupby(
         ["split", "component", "denoised"], sort=False
     ):
-        lines.append(f"  psnr {component}{' denoised' if denoised else ''}, {split}: {rows.value.mean():.2f} dB "
-                     f"({len(rows)} images)")
+        lines.append(
+            f"  psnr {component}{' denoised' if denoised else ''}, {split}: {rows.value.mean():.2f} dB "
+            f"({len(rows)} images)"
+        )
     times = [f"{name} {1e3 * timing[name]['median']:.3g} ms" for name in ("light", "shade") if name in timing]
     if "fit" in timing:
         times.append(f"fit {timing['fit']:.1f} s")

@@ -51,8 +51,10 @@ class RunFolder:
     def log_file(self) -> Path:
         return self.path / "log.csv"
 
-    def image_file(self, split: str, view: str, lighting: str, component: str, denoised: bool = False) -> Path:
-        """The linear EXR of one test image: ``images/<split>/<view>/<lighting>/<component>[_denoised].exr``."""
+    def image_file(
+        self, split: str, view: str, lighting: str, component: str, denoised: bool = False
+    ) -> Path:
+        """The linear EXR of a test image: ``images/<split>/<view>/<lighting>/<component>[_denoised].exr``."""
         parts = [file_name(part) for part in (split, view, lighting)]
         name = component + ("_denoised" if denoised else "")
         return self.path.joinpath("images", *parts, name + ".exr")
@@ -62,11 +64,13 @@ class RunFolder:
         """The resolved configuration; raises PrtError where the folder holds no run."""
         path = self.path / "config.yaml"
         if not path.exists():
-            raise PrtError(f"{self.path} is no run folder: it has no config.yaml; `prt status` lists the runs")
+            raise PrtError(
+                f"{self.path} is no run folder: it has no config.yaml; `prt status` lists the runs"
+            )
         return OmegaConf.load(path)
 
     def metrics(self) -> pd.DataFrame:
-        """Rows of metrics.csv: split, view, lighting, component (str), denoised (bool), metric (str), value (float)."""
+        """metrics.csv: split, view, lighting, component, metric (text), denoised (bool), value (float)."""
         path = self.path / "metrics.csv"
         if not path.exists():
             return pd.DataFrame({name: [] for name in METRIC_COLUMNS})
@@ -74,8 +78,8 @@ class RunFolder:
         return pd.read_csv(path, dtype=kinds, keep_default_na=False, na_values={"value": ["nan"]})
 
     def timing(self) -> dict[str, Any]:
-        """timing.json: ``fit`` and ``bake`` in seconds, ``bytes`` of the model, ``device`` and ``threads``, and for the
-        scopes ``light``, ``shade``, ``gbuffer`` and ``denoise`` a dict with ``median``, ``p95``, ``repetitions``."""
+        """timing.json: ``fit`` and ``bake`` in seconds, ``bytes`` of the model, ``device`` and ``threads``, and
+        for ``light``, ``shade``, ``gbuffer`` and ``denoise`` a dict with ``median``, ``p95``, ``repetitions``."""
         return read_json(self.path / "timing.json")
 
     def provenance(self) -> dict[str, Any]:
@@ -84,7 +88,11 @@ class RunFolder:
 
     def log(self) -> pd.DataFrame:
         """log.csv: step, seconds of fitting, and what the method reported."""
-        return pd.read_csv(self.log_file) if self.log_file.exists() else pd.DataFrame({"step": [], "seconds": []})
+        return (
+            pd.read_csv(self.log_file)
+            if self.log_file.exists()
+            else pd.DataFrame({"step": [], "seconds": []})
+        )
 
     @property
     def done(self) -> bool:
@@ -158,11 +166,12 @@ class RunFolder:
             self.path.mkdir(parents=True, exist_ok=True)
             file = take(path)
         except OSError as error:
+            reason = error.strerror or error
             raise PrtError(
-                f"cannot write the run folder {self.path}: {error.strerror or error}; choose another with run.folder=<path>"
+                f"cannot write the run folder {self.path}: {reason}; choose another with run.folder=<path>"
             ) from error
         if file is None:
-            raise PrtError(f"{self.path} is in use by {holder(path)}; wait for that run, or stop it and run again")
+            raise PrtError(f"{self.path} is in use by {holder(path)}; wait for that run, or stop it")
         try:
             file.write(json.dumps({"pid": os.getpid(), "host": platform.node(), "time": int(time.time())}))
             file.flush()

@@ -13,7 +13,7 @@ ORDER = ("running", "failed", "stopped", "done")
 def main(folder: Path) -> int:
     """Print the table; raises PrtError where there is no such folder."""
     if not folder.is_dir():
-        raise PrtError(f"--folder {folder} does not exist; give the folder of your runs (run.folder), or start one: prt run")
+        raise PrtError(f"--folder {folder} does not exist; give the folder of your runs (run.folder)")
     runs = [RunFolder(folder)] if (folder / "config.yaml").exists() else below(folder)
     lines = sorted((line(run) for run in runs), key=lambda cells: ORDER.index(cells[0]))
     if not lines:

@@ -1,4 +1,4 @@
-"""``prt table``: a table's YAML resolved to runs; what is missing is run, and the report made from the results.
+"""``prt table``: a table's YAML resolved to runs, the missing ones run, and the report made.
 
 A table's YAML (``experiments/<paper>/<table>.yaml``) holds only its differences from ``conf/``::
 
@@ -34,6 +34,7 @@ from prt.bench import run as runner
 from prt.bench.claims import Claim, parse_claims
 from prt.bench.layout import Layout
 from prt.bench.results import Cell
+from prt.cache import write_atomically
 from prt.errors import PrtError
 from prt.metrics.registry import METRICS
 
@@ -81,11 +82,11 @@ def experiment_folders() -> list[Path]:
 def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
     """Read and check a table's YAML, with the command line's overrides put in place.
 
-    An override of a grid axis replaces its values (``scene=a,b``); ``report=<folder>`` says where to write; every
-    other one replaces or joins ``common``. Overrides that change results write to a report folder of their own.
+    An override of a grid axis replaces its values (``scene=a,b``); ``report=<folder>`` says where to write;
+    every other one replaces or joins ``common``. Overrides that change results write to a folder of their own.
 
     Raises:
-        PrtError: for an unknown table or key, a grid without scenes or methods, a malformed claim or override.
+        PrtError: for an unknown table or key, a grid without scenes or methods, a wrong claim or override.
     """
     path = find(name)
     try:
@@ -123,8 +124,9 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
     published = content.get("published")
     return Spec(
         name, path, str(content.get("title") or name), grid, common,
-        report or Path("reports") / (name + ("_" + slug if slug else "")), list(overrides), content.get("about") or "",
-        content.get("columns") or {}, content.get("labels") or {}, path.parent / published if published else None,
+        report or Path("reports") / (name + ("_" + slug if slug else "")), list(overrides),
+        content.get("about") or "", content.get("columns") or {}, content.get("labels") or {},
+        path.parent / published if published else None,
         claims, content.get("chart") or {}, content.get("figure") or {},
     )  # fmt: skip
 
@@ -139,9 +141,7 @@ def find(name: str) -> Path:
         str(p.relative_to(f).with_suffix("")) for f in experiment_folders() for p in sorted(f.rglob("*.yaml"))
     ]
     known = list(dict.fromkeys(known))
-    raise PrtError(
-        f"no table {name!r}{composer.near(name, known)}; choose from {', '.join(known) or 'none'}, or give a YAML"
-    )
+    raise PrtError(f"no table {name!r}{composer.near(name, known)}; choose from {', '.join(known) or 'none'}")
 
 
 def _listed(value: Any) -> list:
@@ -190,8 +190,10 @@ def layout_of(spec: Spec, cells: Sequence[Cell]) -> Layout:
         PrtError: for an unknown key or metric in ``columns``.
     """
     for key in spec.columns:
-        if key not in ("metrics", "components", "splits"):
-            raise PrtError(f"{spec.path}: columns.{key} is unknown; allowed are metrics, components, splits")
+        if key not in ("metrics", "components", "splits", "as_is"):
+            raise PrtError(
+                f"{spec.path}: columns.{key} is unknown; allowed are metrics, components, splits, as_is"
+            )
     for metric in spec.columns.get("metrics", []):
         if metric not in METRICS:
             raise PrtError(
@@ -214,9 +216,8 @@ def run_missing(
         spent = time.monotonic() - started
         left = f", about {clock(spent / number * (len(todo) - number))} left" if number else ""
         variant = f" {cell.variant}" if cell.variant else ""
-        say(
-            f"[{number + 1}/{len(todo)}] {cell.scene} {cell.method}{variant} seed {cell.seed}: {clock(spent)} elapsed{left}"
-        )
+        place = f"[{number + 1}/{len(todo)}] {cell.scene} {cell.method}{variant} seed {cell.seed}"
+        say(f"{place}: {clock(spent)} elapsed{left}")
         try:
             carry_out(cfg)
         except PrtError as error:
@@ -257,12 +258,20 @@ def main(name: str, overrides: Sequence[str] = (), dry_run: bool = False) -> int
         for cell, _ in cells:
             print(f"  {cell.run.state():8} {cell.run.path}  prt run {' '.join(cell.overrides)}")
         return 0
+    check_writable(spec.report)  # before hours of runs, not after
     failed = run_missing(cells)
 
     from prt.bench.report import write_report
 
     write_report(spec, layout, [cell for cell, _ in cells], failed, references=TaskReferences(dict(cells)))
     return 1 if failed else 0
+
+
+def check_writable(folder: Path) -> None:
+    """Raises PrtError where the report could not be written."""
+    probe = folder / ".writable"
+    write_atomically(probe, b"")
+    probe.unlink()
 
 
 class TaskReferences:

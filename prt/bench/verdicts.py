@@ -15,6 +15,8 @@ VERDICT_COLUMNS = ["claim", "scene", "verdict", "metric", "difference", "lo", "h
 SCOPES = {"every": "every scene", "most": "most scenes", "named": "named scenes"}
 #: a PSNR closer than this to the reference's own noise floor says nothing (dB)
 FLOOR_MARGIN = 10.0
+#: differences as small as rounding decide nothing
+TIE = 1e-9
 
 
 class _Missing(Exception):
@@ -44,17 +46,15 @@ def judge(claims: list[Claim], evidence: Evidence) -> pd.DataFrame:
         scenes = list(claim.scenes) or evidence.scenes
         found = [_judge_scene(claim, scene, evidence) for scene in scenes]
         verdicts = [row["verdict"] for row in found]
-        scope = {"every": "every scene", "most": "most scenes"}.get(claim.scope, "these scenes")
         counts = ", ".join(
             f"{v} on {verdicts.count(v)}" for v in ("holds", "fails", "undecided") if v in verdicts
         )
-        rows += found if len(found) > 1 or claim.scope != "named" else []
-        summary = found[0] if len(found) == 1 and claim.scope == "named" else {"note": counts}
-        rows.append(
-            {"claim": claim.statement, "metric": claim.metric, **summary}
-            | {"scene": scope if len(found) > 1 or claim.scope != "named" else scenes[0]}
-            | {"verdict": _over_scenes(verdicts, claim.scope == "most")}
-        )
+        overall = {
+            "verdict": _over_scenes(verdicts, claim.scope == "most"),
+            "metric": claim.metric,
+            "note": counts,
+        }
+        rows += [*found, {"claim": claim.statement, "scene": SCOPES[claim.scope], **overall}]
     return pd.DataFrame(rows, columns=VERDICT_COLUMNS)
 
 
@@ -91,7 +91,7 @@ def _judge_scene(claim: Claim, scene: str, evidence: Evidence) -> dict:
         inside, outside = lo >= -claim.within and hi <= claim.within, lo > claim.within or hi < -claim.within
         verdict = "holds" if inside else "fails" if outside else "undecided"
     else:
-        verdict = "holds" if lo > claim.margin else "fails" if hi < claim.margin else "undecided"
+        verdict = "holds" if lo > claim.margin + TIE else "fails" if hi < claim.margin - TIE else "undecided"
     floor = _noise_floor(claim, scene, evidence)
     if floor is not None and min(left.level, right.level) > floor - FLOOR_MARGIN:
         verdict, row["note"] = (

@@ -26,9 +26,9 @@ _AXES = torch.tensor(
     dtype=torch.float32,
 )
 #: sub-pixels across a texel that overlap matrices are estimated from
-_SAMPLES_ACROSS = 8
+_SAMPLES_ACROSS = 6
 #: rounds of balancing an overlap matrix
-_BALANCING_ROUNDS = 200
+_BALANCING_ROUNDS = 60
 
 
 def face_directions(
@@ -111,7 +111,7 @@ def from_equirect(
 
     Args:
         image: linear radiance; orientation as in :func:`equirect_directions`.
-        supersample: parts along each side of a pixel; by default enough for 8 across the smallest texel, and
+        supersample: parts along each side of a pixel; by default enough for 6 across the smallest texel, and
             images with far more pixels than texels are first halved (also keeping energy).
     """
     image = image.double()

@@ -1,7 +1,7 @@
 """Sets of environments: what lights the scene in training, and what it is tested under.
 
-Whatever they are made from, all are sanitised, then scaled to unit mean radiance (over sphere and RGB), so that
-no map counts more than another in training; ``normalise=false`` keeps the maps' own exposure.
+Whatever they are made from, all are sanitised, then scaled to unit mean radiance (over sphere and RGB), so
+that no map counts more than another in training; ``normalise=false`` keeps the maps' own exposure.
 """
 
 from typing import Any, Protocol, runtime_checkable
@@ -32,6 +32,10 @@ class EnvironmentSet(Protocol):
 
     def prior(self) -> Float[Tensor, "6 R R 3"]:
         """Mean training environment."""
+        ...
+
+    def describe(self) -> str:
+        """One line for reports: what the environments are made from."""
         ...
 
     def fingerprint(self) -> dict[str, Any]:
@@ -68,6 +72,10 @@ class CachedEnvironments:
 
     def names(self, split: str) -> list[str]:
         """The environments of ``train`` or ``test``, in order."""
+        raise NotImplementedError
+
+    def describe(self) -> str:
+        """One line for reports: what the environments are made from."""
         raise NotImplementedError
 
     def build(self, split: str) -> Float[Tensor, "n 6 R R 3"]:

@@ -1,9 +1,9 @@
 """Photographed environment maps from folders of ``.hdr`` and ``.exr`` files.
 
-Split by source map, never by rotation: a share of every training folder is held out, and test lights come from
-what is held out and from folders used for testing only. The training side is then turned (Raghavan 2023,
-section 5: by 120 and 240 degrees), mirrored, and mixed in pairs at random exposures, because few maps are at
-hand where the paper had a thousand.
+Split by source map, never by rotation: a share of every training folder is held out, and test lights come
+from what is held out and from folders used for testing only. The training side is then turned (Raghavan
+2023, section 5: by 120 and 240 degrees), mirrored, and mixed in pairs at random exposures, because few maps
+are at hand where the paper had a thousand.
 """
 
 import functools
@@ -34,7 +34,7 @@ class HdriFolders(CachedEnvironments):
 
     Args:
         resolution: R of the cubemaps.
-        train_folders, test_folders: folders below ``PRT_DATA``, or absolute, or relative to the current folder.
+        train_folders, test_folders: folders below ``PRT_DATA``, absolute, or relative to the current folder.
         path: a file or folder of the user's; where given, its maps are the test lights, all of them.
         train_count: training environments; None for every map with its rotations and mirror images, no mixes.
             Fewer than that: unrotated maps come first. More: the rest are mixes of two.
@@ -103,8 +103,8 @@ class HdriFolders(CachedEnvironments):
         available = sum(len(queue) for queue in queues)
         if available < self.test_count:
             raise PrtError(
-                f"lighting.test_count={self.test_count}, but only {available} maps of {', '.join(self.test_folders)} "
-                "are not trained on; lower it, raise lighting.held_out or add folders"
+                f"lighting.test_count={self.test_count}, but only {available} maps of "
+                f"{', '.join(self.test_folders)} are not trained on; lower it, raise lighting.held_out or add folders"
             )
         chosen: list[Path] = []
         for turn in range(self.test_count):
@@ -152,6 +152,15 @@ class HdriFolders(CachedEnvironments):
         ]
         return (single + [f"mix{i:04d}" for i in range(self._mixes)])[: self.train_count]
 
+    def describe(self) -> str:
+        turns = ", ".join(f"{turn:g}" for turn in self.rotations)
+        count = min(len(self._variants), self.train_count or len(self._variants))
+        return (
+            f"{len(self.train_maps)} training maps turned by {turns} degrees{' and mirrored' * self.mirror}: "
+            f"{count} environments and {self._mixes} mixes of two; {len(self.test_maps)} test maps held out; "
+            f"{'unit mean radiance' if self.normalise else 'own exposure'}"
+        )
+
     def split_fingerprint(self, split: str) -> dict[str, Any]:
         maps = self.train_maps if split == "train" else self.test_maps
         content = {"maps": [[path.stem, hashlib.sha256(path.read_bytes()).hexdigest()] for path in maps]}
@@ -180,7 +189,7 @@ class HdriFolders(CachedEnvironments):
         return from_equirect(sanitise(read_image(path), path.stem, self.mend), self.resolution)
 
     def _mixed(self, singles: list[Tensor]) -> list[Tensor]:
-        """Sums of two environments of different maps, each normalised, at exposures up to ``MIX_STOPS`` apart."""
+        """Sums of environments of two maps, each normalised, at exposures up to ``MIX_STOPS`` apart."""
         generator = torch.Generator().manual_seed(self.seed)
         maps, out = len(self.train_maps), []
         for _ in range(self._mixes):

@@ -1,17 +1,17 @@
-"""Neural Precomputed Radiance Transfer (Rainer, Bousseau, Ritschel, Drettakis 2022), diffuse-specular separation.
+"""Neural Precomputed Radiance Transfer (Rainer et al. 2022), the diffuse-specular separation.
 
-The best of that paper's four architectures and the baseline of Raghavan 2023, Table 1. A convolutional encoder
-turns the environment into a diffuse and a specular light code. Per pixel, one network turns position and normal
-into a diffuse transport code, another turns position, normal, reflected direction and roughness into a specular
-one. Each transport code is concatenated with its light code and decoded to a colour; the colours are multiplied
-by the diffuse and the specular reflectance of the pixel and summed:
+The best of that paper's four architectures and the baseline of Raghavan 2023, Table 1. A convolutional
+encoder turns the environment into a diffuse and a specular light code. Per pixel, one network turns position
+and normal into a diffuse transport code, another turns position, normal, reflected direction and roughness
+into a specular one. Each transport code is concatenated with its light code and decoded to a colour; the
+colours are multiplied by the diffuse and the specular reflectance of the pixel and summed:
 
     B = k_d D_d(T_d(x, n), E_d(L)) + k_s D_s(T_s(x, n, w_r, sigma), E_s(L))
 
 What the publications leave open is decided here: the encoder sees log(1 + L / mean L) on cubemap faces, the
-decoders end in softplus (radiance is not negative), and everything is multiplied by mean L, so that a lighting
-twice as bright gives exactly twice the radiance. Layer sizes are settings; at ``budget=paper`` they sum to about
-half a million parameters. The training data, loss and pixel sampling are those of wavelet_neural.
+decoders end in softplus (radiance is not negative), and everything is multiplied by mean L, so that a
+lighting twice as bright gives twice the radiance. Layer sizes are settings; at ``budget=paper`` they sum to
+about half a million parameters. The training data, loss and pixel sampling are those of wavelet_neural.
 """
 
 import dataclasses
@@ -50,17 +50,20 @@ class LightEncoder(torch.nn.Module):
         stages = round(math.log2(resolution / LAST_SIDE)) if resolution >= LAST_SIDE else 0
         if resolution != LAST_SIDE << stages:
             raise PrtError(
-                f"neural_prt needs cubemaps of {LAST_SIDE} times a power of 2 texels a side, not {resolution}; "
+                f"neural_prt needs a cubemap {LAST_SIDE} times a power of 2 wide, not {resolution}: "
                 "set task.resolution to 8, 16, 32 or 64"
             )
         widths = [3] + [min(channels << stage, 4 * channels) for stage in range(stages)]
         self.convolutions = torch.nn.ModuleList(
-            torch.nn.Conv2d(a, b, 3, stride=2, padding=1) for a, b in zip(widths[:-1], widths[1:], strict=True)
+            torch.nn.Conv2d(a, b, 3, stride=2, padding=1)
+            for a, b in zip(widths[:-1], widths[1:], strict=True)
         )
         self.narrow = torch.nn.Conv2d(widths[-1], narrow, 1)
         self.linear = torch.nn.Linear(6 * narrow * LAST_SIDE**2, 2 * code)
 
-    def forward(self, lightings: Float[Tensor, "L 6 R R 3"]) -> tuple[Float[Tensor, "L C"], Float[Tensor, "L C"]]:
+    def forward(
+        self, lightings: Float[Tensor, "L 6 R R 3"]
+    ) -> tuple[Float[Tensor, "L C"], Float[Tensor, "L C"]]:
         """Codes of lightings of unit mean."""
         faces = torch.log1p(lightings).flatten(0, 1).permute(0, 3, 1, 2)
         for convolution in self.convolutions:
@@ -82,7 +85,7 @@ class Branch(torch.nn.Module):
         """Colour before the reflectance, for every point under every light code."""
         first, *_ = self.decoder.layers
         transport = torch.relu(self.transport(features))
-        # The first layer acts on [transport, light]: its halves are applied once per point and once per light.
+        # The first layer acts on [transport, light]: its halves are applied once per point, once per light.
         per_point = torch.nn.functional.linear(transport, first.weight[:, : transport.shape[1]], first.bias)
         per_light = light @ first.weight[:, transport.shape[1] :].T
         hidden = torch.relu(per_point + per_light[:, None])
@@ -100,8 +103,18 @@ class NeuralPrtNet(torch.nn.Module):
         sh_degree: largest SH band of the reflected direction; 0 for the direction itself.
     """
 
-    def __init__(self, bounds, resolution: int, width: int, hidden_layers: int, code: int, channels: int,
-                 narrow: int, position_bins: int, sh_degree: int):  # fmt: skip
+    def __init__(
+        self,
+        bounds,
+        resolution: int,
+        width: int,
+        hidden_layers: int,
+        code: int,
+        channels: int,
+        narrow: int,
+        position_bins: int,
+        sh_degree: int,
+    ):
         super().__init__()
         low, high = (torch.tensor(corner, dtype=torch.float32) for corner in bounds)
         self.register_buffer("middle", (low + high) / 2, persistent=False)
@@ -122,8 +135,12 @@ class NeuralPrtNet(torch.nn.Module):
         direction = sh_encode(gbuffer.wr, self.sh_degree) if self.sh_degree else gbuffer.wr
         return torch.cat(surface, 1), torch.cat([*surface, direction, log_roughness(gbuffer.roughness)], 1)
 
-    def decode(self, gbuffer_colours: tuple[Tensor, Tensor], features: tuple[Tensor, Tensor],
-               codes: tuple[Tensor, Tensor]) -> Float[Tensor, "L P 3"]:  # fmt: skip
+    def decode(
+        self,
+        gbuffer_colours: tuple[Tensor, Tensor],
+        features: tuple[Tensor, Tensor],
+        codes: tuple[Tensor, Tensor],
+    ) -> Float[Tensor, "L P 3"]:
         """Radiance under lightings of unit mean."""
         (k_d, k_s), (diffuse, specular) = gbuffer_colours, features
         return k_d * self.diffuse(diffuse, codes[0]) + k_s * self.specular(specular, codes[1])
@@ -153,16 +170,33 @@ class NeuralPrt:
     component = Component.INDIRECT
     tasks = frozenset({"relight_indirect"})
 
-    def __init__(self, width: int, hidden_layers: int, code: int, channels: int, narrow: int, position_bins: int,
-                 sh_degree: int, training: dict[str, Any], chunk: int = 4096):  # fmt: skip
-        for name, value, least in (("width", width, 1), ("hidden_layers", hidden_layers, 1), ("code", code, 1),
-                                   ("channels", channels, 1), ("narrow", narrow, 1), ("chunk", chunk, 1),
-                                   ("position_bins", position_bins, 0), ("sh_degree", sh_degree, 0)):  # fmt: skip
+    def __init__(
+        self,
+        width: int,
+        hidden_layers: int,
+        code: int,
+        channels: int,
+        narrow: int,
+        position_bins: int,
+        sh_degree: int,
+        training: dict[str, Any],
+        chunk: int = 4096,
+    ):
+        for name, value, least in (
+            ("width", width, 1),
+            ("hidden_layers", hidden_layers, 1),
+            ("code", code, 1),
+            ("channels", channels, 1),
+            ("narrow", narrow, 1),
+            ("chunk", chunk, 1),
+            ("position_bins", position_bins, 0),
+            ("sh_degree", sh_degree, 0),
+        ):
             if not isinstance(value, int) or value < least:
                 raise PrtError(f"method.{name}={value!r} must be an integer of at least {least}")
         self.sizes = {
-            "width": width, "hidden_layers": hidden_layers, "code": code, "channels": channels, "narrow": narrow,
-            "position_bins": position_bins, "sh_degree": sh_degree,
+            "width": width, "hidden_layers": hidden_layers, "code": code, "channels": channels,
+            "narrow": narrow, "position_bins": position_bins, "sh_degree": sh_degree,
         }  # fmt: skip
         self.training, self.chunk, self.device = training, chunk, "cpu"
 
@@ -190,13 +224,24 @@ class NeuralPrt:
         def step() -> Tensor:
             batch = sampler.draw(generator)
             points, which = surface.rows(batch.points.to(device)), batch.lighting_index.to(device)
-            image = net.decode((points.diffuse, points.specular), net.features(points), net.encoder(unit[which]))
+            image = net.decode(
+                (points.diffuse, points.specular), net.features(points), net.encoder(unit[which])
+            )
             image = image * mean[which][:, None, None]
             return image_loss(image, batch.target, settings["loss"], settings["mu"], settings["epsilon"])
 
         average = Average(net, settings["average"]) if settings["average"] else None
-        fit_loop(log, "neural_prt", settings["steps"], generator, {"net": net}, step, optimiser,
-                 warm_up_then_cosine(), average)  # fmt: skip
+        fit_loop(
+            log,
+            "neural_prt",
+            settings["steps"],
+            generator,
+            {"net": net},
+            step,
+            optimiser,
+            warm_up_then_cosine(),
+            average,
+        )
 
     # ---- rendering
 
@@ -242,7 +287,8 @@ class NeuralPrt:
             self.net.load_state_dict(load_file(path))
         except RuntimeError as error:
             raise PrtError(
-                f"{path} was written with other layer sizes than method={self.sizes}; use the run's own config.yaml"
+                f"{path} was written with other layer sizes than method={self.sizes}; "
+                "use the run's own config.yaml"
             ) from error
 
 

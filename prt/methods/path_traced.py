@@ -1,7 +1,7 @@
 """Path tracing at equal time: a method whose fit only finds out how many samples a frame's time allows.
 
-The comparison of Raghavan 2023, figures 5 and 8: the renderer's own ``path`` integrator with emitter sampling,
-with or without Open Image Denoise, given as long per frame as the precomputed method takes.
+The comparison of Raghavan 2023, figures 5 and 8: the renderer's own ``path`` integrator with emitter
+sampling, with or without Open Image Denoise, given as long per frame as the precomputed method takes.
 """
 
 import statistics
@@ -46,7 +46,8 @@ class PathTraced:
     def __init__(self, frame_seconds: float | None, samples: int | None = None, denoise: bool = False):
         if (frame_seconds is None) == (samples is None):
             raise PrtError(
-                f"method.frame_seconds={frame_seconds} and method.samples={samples}: give exactly one of them, the other null"
+                f"method.frame_seconds={frame_seconds} and method.samples={samples}: give exactly one "
+                "and null for the other"
             )
         if frame_seconds is not None and not 0 < frame_seconds < float("inf"):
             raise PrtError(f"method.frame_seconds={frame_seconds} must be a positive number of seconds")
@@ -95,10 +96,11 @@ class PathTraced:
         if self.scene is None or self.samples is None:
             raise PrtError("path_traced has no scene yet; fit it or load a checkpoint first")
         if gbuffer.view is None:
-            raise PrtError("path_traced renders whole images: give the G-buffer of a view, not single points of it")
+            raise PrtError("path_traced renders whole images: give the G-buffer of a view, not single points")
         if len(gbuffer) == 0:
             return torch.zeros((0, 3))
-        image = render(self.scene, gbuffer.view, code, self.samples, self.scene.max_depth, self.seed)["indirect"]
+        depth = self.scene.max_depth
+        image = render(self.scene, gbuffer.view, code, self.samples, depth, self.seed)["indirect"]
         if self.denoise:
             guides = gbuffer.to("cpu")
             albedo = guides.image((guides.diffuse + guides.specular).clamp(0, 1))

@@ -150,7 +150,7 @@ def _from_packages(network: str) -> Weights | str:
     heads = Path(spec.origin).parent / "weights" / "v0.1" / f"{network}.pth"
     name = {"alex": "alexnet", "squeeze": "squeezenet1_1"}[network]
     try:
-        from torchvision import models
+        from torchvision import models  # pyright: ignore[reportMissingImports]
 
         backbone = models.get_model(name, weights="IMAGENET1K_V1").state_dict()
         learnt = torch.load(heads, map_location="cpu", weights_only=True)

@@ -47,9 +47,10 @@ def sh_encode(directions: Float[Tensor, "*N 3"], degree: int = 4) -> Float[Tenso
         c, d = 0.75 * math.sqrt(5 / math.pi), 0.75 * math.sqrt(5 / (2 * math.pi))
         e = 3 / 16 * math.sqrt(1 / math.pi)
         bands.append([
-            a * x * y * (xx - yy), b * y * z * (3 * xx - yy), c * x * y * (7 * zz - 1), d * y * z * (7 * zz - 3),
-            e * (35 * zz * zz - 30 * zz + 3), d * x * z * (7 * zz - 3), 0.5 * c * (xx - yy) * (7 * zz - 1),
-            b * x * z * (xx - 3 * yy), 0.25 * a * (xx * (xx - 3 * yy) - yy * (3 * xx - yy)),
+            a * x * y * (xx - yy), b * y * z * (3 * xx - yy), c * x * y * (7 * zz - 1),
+            d * y * z * (7 * zz - 3), e * (35 * zz * zz - 30 * zz + 3), d * x * z * (7 * zz - 3),
+            0.5 * c * (xx - yy) * (7 * zz - 1), b * x * z * (xx - 3 * yy),
+            0.25 * a * (xx * (xx - 3 * yy) - yy * (3 * xx - yy)),
         ])  # fmt: skip
     return torch.stack([value for band in bands for value in band], -1)
 
@@ -67,5 +68,5 @@ def one_blob(x: Float[Tensor, "*N D"], bins: int) -> Float[Tensor, "*N DB"]:
 
 
 def log_roughness(roughness: Tensor) -> Tensor:
-    """log(25 sigma + 1) / log(26): [0, 1] to [0, 1] with more room for low roughness (Raghavan 2023, section 5)."""
+    """log(25 sigma + 1) / log(26): more room for low roughness (Raghavan 2023, section 5)."""
     return torch.log1p(25 * roughness) / math.log(26)

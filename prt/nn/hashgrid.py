@@ -1,4 +1,4 @@
-"""Multiresolution hash encoding of positions (Mueller et al. 2022), fast on CPU and GPU without extensions."""
+"""Multiresolution hash encoding of positions (Mueller et al. 2022), fast on CPU and GPU as plain torch."""
 
 import math
 from collections.abc import Sequence
@@ -65,8 +65,8 @@ class HashGrid(torch.nn.Module):
                 raise PrtError(f"hash grid {name}={value!r} must be an integer from 1 to {most}")
         if not scale >= 1 or base_resolution * scale ** (levels - 1) > 1 << 22:
             raise PrtError(
-                f"hash grid scale={scale!r} must be at least 1 and keep the finest of {levels} levels below 2^22 "
-                "cells (float32 resolves no more); lower scale or levels"
+                f"hash grid scale={scale!r} must be at least 1 and keep the finest of {levels} levels below "
+                "2^22 cells (float32 resolves no more); lower scale or levels"
             )
         low, high = (torch.tensor([float(c) for c in corner], dtype=torch.float64) for corner in bounds)
         extent = high - low
@@ -75,7 +75,8 @@ class HashGrid(torch.nn.Module):
 
         self.levels, self.features, self.table_rows = levels, features, 1 << log2_table
         resolution = [math.floor(base_resolution * scale**level + 1e-9) for level in range(levels)]
-        cells = [[max(1, math.ceil(e * r / float(extent.max()) - 1e-6)) for e in extent.tolist()] for r in resolution]
+        sides = (extent / extent.max()).tolist()
+        cells = [[max(1, math.ceil(side * r - 1e-6)) for side in sides] for r in resolution]
         corners = [math.prod(n + 1 for n in axis) for axis in cells]
         # Corner counts grow with the level, so the dense levels come first.
         self.dense_levels = sum(count <= self.table_rows for count in corners)
@@ -120,7 +121,8 @@ class HashGrid(torch.nn.Module):
         count, dense = len(points), self.dense_levels
         cell, place = self.cells(points)
         along = torch.stack([1 - place, place], -1)  # (N, L, axis, side)
-        weights = along[:, :, 0, :, None, None] * along[:, :, 1, None, :, None] * along[:, :, 2, None, None, :]
+        x, y, z = along.unbind(2)
+        weights = x[..., :, None, None] * y[..., None, :, None] * z[..., None, None, :]
         # Masking each axis before the xor gives the same row as masking after it, and lets the large
         # (N, L, 2, 2, 2) arrays be int32.
         term = torch.stack([cell, cell + 1], -1) * self.factors[..., None]

@@ -27,7 +27,9 @@ class Mlp(torch.nn.Module):
         generator: torch.Generator | None = None,
     ):
         super().__init__()
-        for name, value, least in (("inputs", inputs, 1), ("width", width, 1), ("hidden_layers", hidden_layers, 0), ("outputs", outputs, 1)):
+        given = {"inputs": inputs, "width": width, "hidden_layers": hidden_layers, "outputs": outputs}
+        for name, value in given.items():
+            least = 0 if name == "hidden_layers" else 1
             if not isinstance(value, int) or value < least:
                 raise PrtError(f"network {name}={value!r} must be an integer of at least {least}")
         sizes = [inputs, *[width] * hidden_layers, outputs]
@@ -35,8 +37,8 @@ class Mlp(torch.nn.Module):
             torch.nn.Linear(a, b, bias=bias) for a, b in zip(sizes[:-1], sizes[1:], strict=True)
         )
         for number, layer in enumerate(self.layers):
-            last = number == hidden_layers
-            torch.nn.init.kaiming_normal_(layer.weight, nonlinearity="linear" if last else "relu", generator=generator)
+            kind = "linear" if number == hidden_layers else "relu"
+            torch.nn.init.kaiming_normal_(layer.weight, nonlinearity=kind, generator=generator)
             if bias:
                 torch.nn.init.zeros_(layer.bias)
 

@@ -124,7 +124,9 @@ def figure_eight(
     middle, distance = _point("center", center), _positive("radius", radius)
     low_high, angles = _elevation(elevation), _span("azimuth", azimuth)
     if abs(angles[1] - angles[0]) >= 360.0:
-        raise PrtError(f"camera azimuth={list(angles)}: a figure eight spans less than 360 degrees; narrow the range")
+        raise PrtError(
+            f"camera azimuth={list(angles)}: a figure eight spans less than 360 degrees; narrow the range"
+        )
 
     def origin(place: float) -> Point:
         phase = 2.0 * math.pi * place
@@ -222,5 +224,7 @@ def _radius(value: Any) -> tuple[float, float]:
 def _elevation(value: Any) -> tuple[float, float]:
     low, high = _span("elevation", value)
     if max(abs(low), abs(high)) > STEEPEST:
-        raise PrtError(f"camera elevation={[low, high]} must lie within -{STEEPEST:g} and {STEEPEST:g} degrees")
+        raise PrtError(
+            f"camera elevation={[low, high]} must lie within -{STEEPEST:g} and {STEEPEST:g} degrees"
+        )
     return low, high

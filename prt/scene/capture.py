@@ -1,5 +1,6 @@
 """The G-buffer of a view: one ray through each pixel centre, materials read where it lands."""
 
+import functools
 import math
 from typing import Any
 
@@ -137,20 +138,29 @@ def capture(mi_scene, view: View) -> GBuffer:
 
 
 def _first_opaque_hit(mi_scene, ray):
-    """The first surface that is not mostly transparent; mask BSDFs let the ray through elsewhere."""
+    """The first surface that is not mostly transparent; mask BSDFs let the ray through elsewhere.
+
+    Thin glass stays a surface: the light it mirrors is part of what is seen.
+    """
     import drjit as dr
 
     mi = mitsuba()
     si = mi_scene.ray_intersect(ray)
-    masked = any(mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null) for shape in mi_scene.shapes() if shape.bsdf())
-    for _ in range(MAX_LAYERS if masked else 0):
-        transmission = dr.mean(mi.Color3f(si.bsdf().eval_null_transmission(si, si.is_valid())))
-        through = si.is_valid() & (transmission > SEE_THROUGH)
+    bsdfs = {id(bsdf): bsdf for shape in mi_scene.shapes() if (bsdf := shape.bsdf()) is not None}
+    masks = [
+        dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf))
+        for bsdf in bsdfs.values()
+        if mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null) and bsdf.class_name() != "ThinDielectric"
+    ]
+    for _ in range(MAX_LAYERS if masks else 0):
+        pointers = si.bsdf()
+        numbers = dr.reinterpret_array(mi.UInt32, pointers)
+        masked = si.is_valid() & functools.reduce(lambda a, b: a | b, (numbers == mask for mask in masks))
+        transmission = dr.mean(mi.Color3f(pointers.eval_null_transmission(si, masked)))
+        through = masked & (transmission > SEE_THROUGH)
         if not dr.any(through):
             break
-        onward = si.spawn_ray(ray.d)
-        deeper = mi_scene.ray_intersect(onward, through)
-        si = dr.select(through, deeper, si)
+        si = dr.select(through, mi_scene.ray_intersect(si.spawn_ray(ray.d), through), si)
     return si
 
 

@@ -61,14 +61,21 @@ class CornellGlossy(Scene):
         transform = mitsuba().ScalarTransform4f
 
         def wall(
-            at: Sequence[float], axis: Sequence[float], angle: float, half: Sequence[float], bsdf: dict[str, Any]
+            at: Sequence[float],
+            axis: Sequence[float],
+            angle: float,
+            half: Sequence[float],
+            bsdf: dict[str, Any],
         ) -> dict[str, Any]:
             to_world = transform().translate(list(at)).rotate(list(axis), angle).scale([*half, 1])
             return {"type": "rectangle", "to_world": to_world, "bsdf": twosided(bsdf)}
 
         return {
             "floor": wall(
-                (0, 0, 0), (1, 0, 0), -90, (1, 1),
+                (0, 0, 0),
+                (1, 0, 0),
+                -90,
+                (1, 1),
                 glossy((0.36, 0.34, 0.31), self.floor_roughness, self.floor_specular, self.floor_metallic),
             ),
             "back": wall((0, 1, -1), (0, 1, 0), 0, (1, 1), diffuse((0.72, 0.70, 0.66))),
@@ -83,7 +90,10 @@ class CornellGlossy(Scene):
             },
             "box": {
                 "type": "cube",
-                "to_world": transform().translate([0.45, 0.5, -0.4]).rotate([0, 1, 0], -20).scale([0.28, 0.5, 0.28]),
+                "to_world": transform()
+                .translate([0.45, 0.5, -0.4])
+                .rotate([0, 1, 0], -20)
+                .scale([0.28, 0.5, 0.28]),
                 "bsdf": twosided(glossy((0.75, 0.55, 0.25), self.box_roughness, 0.7)),
             },
             "ball": {

@@ -67,11 +67,19 @@ class FourAnimals(Scene):
             "ground": ground_description(size=9.0, roughness=self.ground_roughness),
             "ring": ring_description(radius=0.5, roughness=self.ring_roughness),
             "lion": standing_mesh(
-                lion, 0.9, (-1.05, 0.45), 150.0, twosided(glossy(gold_brown, self.gloss_roughness)), tilt=50.0, sink=0.05
+                lion,
+                0.9,
+                (-1.05, 0.45),
+                150.0,
+                twosided(glossy(gold_brown, self.gloss_roughness)),
+                tilt=50.0,
+                sink=0.05,
             ),
             "elephant": standing_mesh(
                 elephant, 1.1, (-0.7, -0.95), 20.0, twosided(glossy(grey_blue, self.gloss_roughness, 0.8))
             ),
-            "horse": standing_mesh(horse, 1.1, (0.85, -0.85), -25.0, twosided(rough_metal("Cu", self.metal_roughness))),
+            "horse": standing_mesh(
+                horse, 1.1, (0.85, -0.85), -25.0, twosided(rough_metal("Cu", self.metal_roughness))
+            ),
             "camel": standing_mesh(camel, 0.7, (1.0, 0.55), -60.0, twosided(diffuse(sand))),
         }

@@ -78,7 +78,9 @@ class FourShapes(Scene):
         torus = torus_mesh(0.36, 0.17).on_ground()
         return {
             "ground": ground_description(roughness=self.ground_roughness),
-            "ring": ring_description(center=(0.0, 0.0, 0.0), roughness=self.ring_roughness, metal=self.ring_metal),
+            "ring": ring_description(
+                center=(0.0, 0.0, 0.0), roughness=self.ring_roughness, metal=self.ring_metal
+            ),
             "column": to_mesh(
                 "column",
                 column.moved(turn=20.0, to=(-0.85, 0.0, -0.75)),

@@ -122,7 +122,9 @@ def _conductor(rough: bool) -> Callable:
         eta, k = _color(found.get("eta"), si, 0.0), _color(found.get("k"), si, 1.0)
         f0 = ((eta - 1.0) ** 2 + k**2) / ((eta + 1.0) ** 2 + k**2)
         specular = f0 * _color(found.get("specular_reflectance"), si)
-        return Material(mi.Color3f(0.0), specular, _sigma(found, si) if rough else mi.Float(0.0), si.sh_frame.n)
+        return Material(
+            mi.Color3f(0.0), specular, _sigma(found, si) if rough else mi.Float(0.0), si.sh_frame.n
+        )
 
     return handler
 
@@ -163,7 +165,9 @@ def _principled(found, si, shape_id) -> Material:
     opaque = (1.0 - metallic) * (1.0 - transmission)
     refracted = (1.0 - metallic) * transmission * (1.0 - f0)
     specular = dr.lerp(mi.Color3f(f0), base, metallic) + refracted * dr.sqrt(dr.maximum(base, 0.0))
-    return Material(opaque * base, specular, dr.clip(_scalar(found["roughness"], si), 0.0, 1.0), si.sh_frame.n)
+    return Material(
+        opaque * base, specular, dr.clip(_scalar(found["roughness"], si), 0.0, 1.0), si.sh_frame.n
+    )
 
 
 def _two_sided(found, si, shape_id) -> Material:

@@ -19,6 +19,7 @@ from prt.scene.shapes import (
     vase_mesh,
 )
 
+#: roughness below which the mirror is perfectly smooth
 SMOOTHEST = 0.001
 
 
@@ -49,7 +50,8 @@ class MirrorRoom(Scene):
         self.mirror_roughness = unit_setting("mirror_roughness", mirror_roughness)
         if SMOOTHEST <= self.mirror_roughness < 0.01:
             raise PrtError(
-                f"scene.mirror_roughness={mirror_roughness!r} must lie between 0.01 and 1, or be 0 for a smooth mirror"
+                f"scene.mirror_roughness={mirror_roughness!r} must lie between 0.01 and 1; "
+                "set it to 0 for a smooth mirror"
             )
         self.floor_roughness = unit_setting("floor_roughness", floor_roughness, 0.05)
 
@@ -66,26 +68,38 @@ class MirrorRoom(Scene):
         wood, oak = diffuse((0.30, 0.17, 0.08)), glossy((0.42, 0.25, 0.12), 0.4, 0.6)
 
         def plane(
-            at: Sequence[float], axis: Sequence[float], angle: float, half: Sequence[float], bsdf: dict[str, Any]
+            at: Sequence[float],
+            axis: Sequence[float],
+            angle: float,
+            half: Sequence[float],
+            bsdf: dict[str, Any],
         ) -> dict[str, Any]:
             to_world = transform().translate(list(at)).rotate(list(axis), angle).scale([*half, 1])
             return {"type": "rectangle", "to_world": to_world, "bsdf": twosided(bsdf)}
 
-        def block(at: Sequence[float], half: Sequence[float], bsdf: dict[str, Any], turn: float = 0.0) -> dict[str, Any]:
+        def block(
+            at: Sequence[float], half: Sequence[float], bsdf: dict[str, Any], turn: float = 0.0
+        ) -> dict[str, Any]:
             to_world = transform().translate(list(at)).rotate([0, 1, 0], turn).scale(list(half))
             return {"type": "cube", "to_world": to_world, "bsdf": twosided(bsdf)}
 
         content: dict[str, Any] = {
-            "floor": plane((0, 0, 0), (1, 0, 0), -90, (1.6, 1.2), glossy((0.33, 0.22, 0.14), self.floor_roughness, 0.8)),
+            "floor": plane(
+                (0, 0, 0), (1, 0, 0), -90, (1.6, 1.2), glossy((0.33, 0.22, 0.14), self.floor_roughness, 0.8)
+            ),
             "back": plane((0, 0.9, -1.2), (0, 1, 0), 0, (1.6, 0.9), diffuse((0.62, 0.62, 0.58))),
             # the side walls end before the floor does, so that slanted views look in past them
             "left": plane((-1.6, 0.9, -0.35), (0, 1, 0), 90, (0.85, 0.9), diffuse((0.16, 0.30, 0.42))),
             "right": plane((1.6, 0.9, -0.35), (0, 1, 0), -90, (0.85, 0.9), diffuse((0.60, 0.42, 0.16))),
-            "mirror": plane((0.1, 0.95, -1.17), (0, 1, 0), 0, (1.0, 0.62), rough_metal("Ag", self.mirror_roughness)),
+            "mirror": plane(
+                (0.1, 0.95, -1.17), (0, 1, 0), 0, (1.0, 0.62), rough_metal("Ag", self.mirror_roughness)
+            ),
             "rug": plane((0.05, 0.004, 0.25), (1, 0, 0), -90, (0.95, 0.6), diffuse((0.45, 0.08, 0.10))),
             "chest": block((-1.25, 0.3, -0.55), (0.28, 0.3, 0.4), oak),
             "ball": {
-                "type": "sphere", "center": [-1.2, 0.78, -0.5], "radius": 0.18,
+                "type": "sphere",
+                "center": [-1.2, 0.78, -0.5],
+                "radius": 0.18,
                 "bsdf": twosided(glossy_plastic((0.75, 0.30, 0.04), 0.25)),
             },
             "pouf": to_mesh(
@@ -94,7 +108,9 @@ class MirrorRoom(Scene):
                 twosided(diffuse((0.10, 0.45, 0.40))),
             ),
             "vase": to_mesh(
-                "vase", vase_mesh(0.13, 0.42).moved(to=(0.62, 0.5, -0.2)), twosided(glossy((0.55, 0.06, 0.30), 0.3, 0.7))
+                "vase",
+                vase_mesh(0.13, 0.42).moved(to=(0.62, 0.5, -0.2)),
+                twosided(glossy((0.55, 0.06, 0.30), 0.3, 0.7)),
             ),
             "knot": to_mesh(
                 "knot",

@@ -58,7 +58,9 @@ class MitsubaScene(Scene):
     ):
         super().__init__(name, cameras or self._derived_cameras(), max_depth, record)
         if path is None or (isinstance(path, (str, Path)) and not str(path).strip()):
-            raise PrtError("scene.path is not set; give a Mitsuba scene: scene.path=/folder/scene.xml (.xml, .yaml, .json)")
+            raise PrtError(
+                "scene.path is not set; give a Mitsuba scene: scene.path=/folder/scene.xml (.xml, .yaml, .json)"
+            )
         if emitting_shapes not in ("remove", "keep"):
             raise PrtError(f"scene.emitting_shapes={emitting_shapes!r} is not one of remove, keep")
         if isinstance(open, str):
@@ -81,7 +83,7 @@ class MitsubaScene(Scene):
     def fingerprint(self) -> dict[str, Any]:
         """The content of the file and of every file it names (SHA-256), and the options."""
         state = self._parse()
-        files = sorted({str(file) for file in _referenced_files(state)})
+        files = sorted(set(self._files(state)))
         contents = [cached_digest(Path(file), Path(file).stat().st_mtime_ns) for file in files]
         if self.content is not None:
             contents.append(json.dumps(_jsonable(self.content), sort_keys=True))
@@ -141,15 +143,29 @@ class MitsubaScene(Scene):
                 node.props["filename"] = str(_find(node.props["filename"], places))
         return state
 
+    def _files(self, state) -> list[str]:
+        """The files of geometry and materials (emitters do not count: they go)."""
+        mi = mitsuba()
+        names = (
+            n.props["filename"]
+            for n in state.nodes
+            if n.type != mi.ObjectType.Emitter and "filename" in n.props
+        )
+        files = [name for name in names if isinstance(name, str)]
+        for file in files:
+            if not Path(file).is_file():
+                raise PrtError(
+                    f"scene.path={self.path or 'dict'} needs {file}, which does not exist; restore it"
+                )
+        return files
+
     def _build(self) -> dict[str, Any]:
         mi = mitsuba()
         config, state = _parser_config(), self._parse()
         self._sensor = _first_sensor(state)
         self._strip(state)
         _set_roughness(state, self.roughness)
-        for file in _referenced_files(state):
-            if not Path(file).exists():
-                raise PrtError(f"scene.path={self.path or 'dict'} needs {file}, which does not exist; restore it")
+        self._files(state)
         try:
             mi.parser.transform_merge_equivalent(config, state)
             mi.parser.transform_merge_meshes(config, state)
@@ -194,7 +210,9 @@ def scene_file(path: str | Path) -> Path:
     given = Path(path).expanduser()
     if given.is_absolute() or given.exists():
         if not given.is_file():
-            raise PrtError(f"scene.path={given} does not exist or is no file; give a Mitsuba .xml, .yaml or .json")
+            raise PrtError(
+                f"scene.path={given} does not exist or is no file; give a Mitsuba .xml, .yaml or .json"
+            )
         return given.resolve()
     if data_folder() is None and not str(path).startswith("scenes/"):
         raise PrtError(f"scene.path={given} does not exist (looked in {Path.cwd()}; PRT_DATA is not set)")
@@ -219,14 +237,9 @@ def _parser_config():
 def _children(node) -> list[tuple[str, int]]:
     mi = mitsuba()
     values = ((key, node.props[key]) for key in list(node.props.keys()))
-    return [(key, value.index()) for key, value in values if isinstance(value, mi.Properties.ResolvedReference)]
-
-
-def _referenced_files(state) -> list[str]:
-    mi = mitsuba()
-    lit = (mi.ObjectType.Emitter,)
-    names = (n.props["filename"] for n in state.nodes if n.type not in lit and "filename" in n.props)
-    return [name for name in names if isinstance(name, str)]
+    return [
+        (key, value.index()) for key, value in values if isinstance(value, mi.Properties.ResolvedReference)
+    ]
 
 
 def _find(name: str, folders: list[Path]) -> Path:
@@ -279,7 +292,9 @@ def _set_roughness(state, by_pattern: dict[str, float]) -> None:
                 apply(child, sigma)
 
     for pattern, sigma in by_pattern.items():
-        matching = [i for i, node in bsdfs.items() if pattern == "*" or fnmatch.fnmatchcase(node.props.id(), pattern)]
+        matching = [
+            i for i, node in bsdfs.items() if pattern == "*" or fnmatch.fnmatchcase(node.props.id(), pattern)
+        ]
         if not matching and pattern != "*":
             some = ", ".join(sorted(node.props.id() for node in bsdfs.values() if node.props.id())[:8])
             raise PrtError(f"scene.roughness: no BSDF is called {pattern!r}; some that exist: {some}")
@@ -322,7 +337,11 @@ def _with_transforms(value: Any) -> Any:
     """4 x 4 lists as Mitsuba transforms, all the way down."""
     if isinstance(value, dict):
         return {key: _with_transforms(part) for key, part in value.items()}
-    if isinstance(value, list) and len(value) == 4 and all(isinstance(r, list) and len(r) == 4 for r in value):
+    if (
+        isinstance(value, list)
+        and len(value) == 4
+        and all(isinstance(r, list) and len(r) == 4 for r in value)
+    ):
         return mitsuba().ScalarTransform4f(value)
     return value
 

@@ -76,7 +76,9 @@ def cameras_around_sensor(mi_scene, pose: SensorPose) -> dict[str, list[Trajecto
     }
 
 
-def cameras_around_bounds(low: Sequence[float], high: Sequence[float], fov: float = 45.0) -> dict[str, list[Trajectory]]:
+def cameras_around_bounds(
+    low: Sequence[float], high: Sequence[float], fov: float = 45.0
+) -> dict[str, list[Trajectory]]:
     """Trajectories on a sphere about the bounding box that keep all of it in the picture."""
     low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     center = tuple(map(float, (low + high) / 2))

@@ -1,4 +1,7 @@
-"""Procedural shapes as smooth triangle meshes, and the Mitsuba descriptions that built-in scenes share."""
+"""Procedural shapes as smooth triangle meshes, and the Mitsuba descriptions that built-in scenes share.
+
+A change of any shape here changes scenes: raise ``geometry_version`` of those that use it.
+"""
 
 import dataclasses
 import math
@@ -27,7 +30,9 @@ class MeshData:
     uv: Float[np.ndarray, "V 2"]
     face: Int[np.ndarray, "F 3"]
 
-    def moved(self, scale: float = 1.0, turn: float = 0.0, to: Sequence[float] = (0.0, 0.0, 0.0)) -> "MeshData":
+    def moved(
+        self, scale: float = 1.0, turn: float = 0.0, to: Sequence[float] = (0.0, 0.0, 0.0)
+    ) -> "MeshData":
         """Scaled evenly, turned about +y by ``turn`` degrees, then moved by ``to``."""
         cosine, sine = math.cos(math.radians(turn)), math.sin(math.radians(turn))
         rotation = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
@@ -60,20 +65,25 @@ def parametric(surface: Surface, columns: int, rows: int, closed_v: bool = False
     """
     u, v = np.meshgrid(np.linspace(0.0, 1.0, columns + 1), np.linspace(0.0, 1.0, rows + 1))
     step = 1e-4
-    low_v, high_v = (v - step, v + step) if closed_v else (np.maximum(v - step, 0.0), np.minimum(v + step, 1.0))
+    low_v, high_v = (
+        (v - step, v + step) if closed_v else (np.maximum(v - step, 0.0), np.minimum(v + step, 1.0))
+    )
     along_u = surface(u + step, v) - surface(u - step, v)
     along_v = surface(u, high_v) - surface(u, low_v)
     normal = np.cross(along_u, along_v)
     if not closed_v:
         for row, inside in ((0, 1), (rows, rows - 1)):
             if np.abs(along_u[row]).max() < 1e-9:
-                normal[row] = (normal[inside] / np.linalg.norm(normal[inside], axis=-1, keepdims=True)).mean(axis=0)
+                normal[row] = (normal[inside] / np.linalg.norm(normal[inside], axis=-1, keepdims=True)).mean(
+                    axis=0
+                )
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
 
     corner = np.arange(rows * (columns + 1)).reshape(rows, columns + 1)[:, :-1].reshape(-1)
     right, up, across = corner + 1, corner + columns + 1, corner + columns + 2
     face = np.concatenate([np.stack([corner, right, across], 1), np.stack([corner, across, up], 1)])
-    position = surface(u, v).reshape(-1, 3)
+    # u = 1 is u = 0 again, to the last bit: sin(2 pi) is not quite 0, and a power of it would open the seam
+    position = surface(u % 1.0, v % 1.0 if closed_v else v).reshape(-1, 3)
     a, b, c = (position[face[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     return MeshData(
@@ -111,7 +121,7 @@ def _power(base: np.ndarray, exponent: float) -> np.ndarray:
     return np.sign(base) * np.abs(base) ** exponent
 
 
-# --- surfaces ---------------------------------------------------------------------------------------------------
+# --- surfaces --------------------------------------------------------------------------------
 
 
 def sphere_mesh(radius: float, columns: int = 64, rows: int = 32) -> MeshData:
@@ -119,7 +129,9 @@ def sphere_mesh(radius: float, columns: int = 64, rows: int = 32) -> MeshData:
     return superquadric_mesh(radius, 1.0, 1.0, columns, rows)
 
 
-def superquadric_mesh(radius: float, east: float, north: float, columns: int = 64, rows: int = 48) -> MeshData:
+def superquadric_mesh(
+    radius: float, east: float, north: float, columns: int = 64, rows: int = 48
+) -> MeshData:
     """A superellipsoid (Barr 1981): exponents 1, 1 give a sphere, smaller ones a rounded box."""
 
     def surface(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -127,7 +139,12 @@ def superquadric_mesh(radius: float, east: float, north: float, columns: int = 6
         # cos(pi / 2) is 6e-17 in floating point; raised to a small power it would open a hole at the pole
         flat = np.where((v <= 0.0) | (v >= 1.0), 0.0, _power(np.cos(above), north))
         return radius * np.stack(
-            [flat * _power(np.sin(around), east), _power(np.sin(above), north), flat * _power(np.cos(around), east)], -1
+            [
+                flat * _power(np.sin(around), east),
+                _power(np.sin(above), north),
+                flat * _power(np.cos(around), east),
+            ],
+            -1,
         )
 
     return parametric(surface, columns, rows)
@@ -140,14 +157,16 @@ def torus_mesh(
 
     Args:
         tube: its radius, or (half width, half height) of an elliptic tube.
-        bulge: exponent of the superelliptic cross-section: 1 an ellipse, towards 0 a rectangle with straight walls.
+        bulge: exponent of the superelliptic cross-section: 1 an ellipse, towards 0 a rectangle.
     """
     wide, tall = tube if isinstance(tube, tuple) else (tube, tube)
 
     def surface(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         around, about = 2.0 * np.pi * u, 2.0 * np.pi * v
         distance = radius + wide * _power(np.cos(about), bulge)
-        return np.stack([distance * np.sin(around), tall * _power(np.sin(about), bulge), distance * np.cos(around)], -1)
+        return np.stack(
+            [distance * np.sin(around), tall * _power(np.sin(about), bulge), distance * np.cos(around)], -1
+        )
 
     return parametric(surface, columns, rows, closed_v=True)
 
@@ -165,8 +184,8 @@ def lathe_mesh(
     """A profile turned about the y axis, from the axis at the bottom to the axis at the top.
 
     Args:
-        profile: control points (radius, height) of a uniform cubic B-spline, in shares of ``radius`` and ``height``;
-            the first and last lie on the axis and are met exactly, with a horizontal tangent.
+        profile: control points (radius, height) of a uniform cubic B-spline, in shares of ``radius`` and
+            ``height``; the first and last lie on the axis and are met exactly, with a horizontal tangent.
         lobes, depth: flutes of the cross-section: how many, and how deep as a share of the radius.
         turns: by how many turns the flutes twist from bottom to top.
     """
@@ -190,22 +209,33 @@ def lathe_mesh(
     return parametric(surface, columns, rows)
 
 
-def twisted_column_mesh(radius: float, height: float, lobes: int = 5, depth: float = 0.3, turns: float = 0.35) -> MeshData:
+def twisted_column_mesh(
+    radius: float, height: float, lobes: int = 5, depth: float = 0.3, turns: float = 0.35
+) -> MeshData:
     """A fluted column with a waist that twists by ``turns`` turns on its way up; it stands on y = 0."""
-    profile = [(0, 0), (0.7, 0), (1, 0), (1.02, 0.08), (0.86, 0.3), (0.72, 0.6), (0.86, 0.88), (0.98, 1), (0.6, 1.02), (0, 1)]
+    profile = [
+        (0, 0),
+        (0.7, 0),
+        (1, 0),
+        (1.02, 0.08),
+        (0.86, 0.3),
+        (0.72, 0.6),
+        (0.86, 0.88),
+        (0.98, 1),
+        (0.6, 1.02),
+        (0, 1),
+    ]
     return lathe_mesh(profile, radius, height, lobes, depth, turns)
 
 
 def vase_mesh(radius: float, height: float) -> MeshData:
     """A bellied vase with a narrow neck and a dished top; it stands on y = 0."""
-    profile = [
-        (0, 0), (0.45, 0), (0.58, 0), (0.7, 0.06), (1.12, 0.3), (0.98, 0.52), (0.4, 0.68), (0.27, 0.85), (0.42, 0.98),
-        (0.56, 1.03), (0.36, 1.02), (0.22, 0.92), (0.15, 0.86), (0, 0.85),
-    ]  # fmt: skip
-    return lathe_mesh(profile, radius, height)
+    belly = [(0, 0), (0.45, 0), (0.58, 0), (0.7, 0.06), (1.12, 0.3), (0.98, 0.52), (0.4, 0.68)]
+    neck = [(0.27, 0.85), (0.42, 0.98), (0.56, 1.03), (0.36, 1.02), (0.22, 0.92), (0.15, 0.86), (0, 0.85)]
+    return lathe_mesh(belly + neck, radius, height)
 
 
-# --- pieces that several scenes share ---------------------------------------------------------------------------
+# --- pieces that several scenes share ------------------------------------------------------------
 
 METALS = ("Au", "Ag", "Cu", "Al")
 
@@ -247,7 +277,9 @@ def glossy_plastic(color: Sequence[float], roughness: float) -> dict[str, Any]:
     }
 
 
-def glossy(color: Sequence[float], roughness: float, specular: float = 0.5, metallic: float = 0.0) -> dict[str, Any]:
+def glossy(
+    color: Sequence[float], roughness: float, specular: float = 0.5, metallic: float = 0.0
+) -> dict[str, Any]:
     """A principled BSDF; its roughness is sigma by its own convention."""
     return {
         "type": "principled",
@@ -275,7 +307,10 @@ def ground_description(
     transform = mi.ScalarTransform4f
     return {
         "type": "rectangle",
-        "to_world": transform().translate([0, height, 0]).rotate([1, 0, 0], -90).scale([size / 2, size / 2, 1]),
+        "to_world": transform()
+        .translate([0, height, 0])
+        .rotate([1, 0, 0], -90)
+        .scale([size / 2, size / 2, 1]),
         "bsdf": twosided(glossy(color, roughness, specular, metallic)),
     }
 
@@ -301,5 +336,9 @@ def ring_description(
     Returns:
         A ``mi.Mesh`` (any place in a scene description takes it like a dict).
     """
-    band = torus_mesh(radius, (width / 2, height / 2), columns=128, rows=32, bulge=0.6).on_ground().moved(to=center)
+    band = (
+        torus_mesh(radius, (width / 2, height / 2), columns=128, rows=32, bulge=0.6)
+        .on_ground()
+        .moved(to=center)
+    )
     return to_mesh("ring", band, twosided(rough_metal(metal, roughness)))

@@ -44,7 +44,9 @@ def standing_mesh(
         params = mi.traverse(mi.load_dict({"type": plugin, "filename": str(path)}))
         vertices = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)
     except Exception as error:
-        raise PrtError(f"cannot read mesh {path}: {' '.join(str(error).split())}; restore the file") from error
+        raise PrtError(
+            f"cannot read mesh {path}: {' '.join(str(error).split())}; restore the file"
+        ) from error
     transform = mi.ScalarTransform4f
     rotation = transform().rotate([0, 1, 0], turn) @ transform().rotate([1, 0, 0], tilt)
     turned = vertices @ np.array(rotation.matrix, dtype=np.float64)[:3, :3].T

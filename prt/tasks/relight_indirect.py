@@ -12,6 +12,7 @@ from torch import Tensor
 from prt.cache import cached
 from prt.errors import PrtError
 from prt.metrics.registry import evaluate
+from prt.metrics.tonemap import exposure_of
 from prt.progress import track
 from prt.scene.capture import capture
 from prt.scene.gbuffer import GBuffer
@@ -225,16 +226,17 @@ class RelightIndirect:
         The truncated truth is the reference plus the recorded transport of the lighting's lost part.
         """
         reference = item.references["indirect"]
+        exposure = exposure_of(reference.numpy())
         parts = {"noise": item.noise_floor["indirect"]}
         if hasattr(method, "truncated") and item.gbuffer.view is not None:
             _, transport = self.recorded(item.gbuffer.view, self.split_spp, 9000 + self.seed)
             lost = (item.lighting - method.truncated(item.lighting)).reshape(1, -1, 3)
             missing = transport.component("indirect").relight(lost)[0].view(reference.shape)
-            parts["truncation"] = psnr(reference - missing, reference)
-            parts["fit"] = psnr(image, reference - missing)
+            parts["truncation"] = psnr(reference - missing, reference, exposure)
+            parts["fit"] = psnr(image, reference - missing, exposure)
         return parts
 
 
-def psnr(image: Tensor, reference: Tensor) -> float:
-    """PSNR in dB as every table here has it: sRGB after the reference's exposure."""
-    return evaluate(image, reference, ["psnr"])["psnr"]
+def psnr(image: Tensor, reference: Tensor, exposure: float | None = None) -> float:
+    """PSNR in dB as every table here has it: sRGB after an exposure, the reference's own by default."""
+    return evaluate(image, reference, ["psnr"], exposure)["psnr"]

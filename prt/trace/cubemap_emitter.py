@@ -35,7 +35,9 @@ def direction_to_texel(d, resolution):
     on_x, on_y = (ax >= ay) & (ax >= az), ay >= az
     major = dr.select(on_x, d.x, dr.select(on_y, d.y, d.z))
     size, negative = dr.abs(major), major < 0
-    face = dr.select(on_x, mi.UInt32(0), dr.select(on_y, mi.UInt32(2), mi.UInt32(4))) + dr.select(negative, mi.UInt32(1), 0)
+    face = dr.select(on_x, mi.UInt32(0), dr.select(on_y, mi.UInt32(2), mi.UInt32(4))) + dr.select(
+        negative, mi.UInt32(1), 0
+    )
     u = dr.select(on_x, dr.select(negative, d.z, -d.z), dr.select(on_y | ~negative, d.x, -d.x))
     v = dr.select(~on_x & on_y, dr.select(negative, -d.z, d.z), -d.y)
     half = 0.5 * mi.Float(resolution)
@@ -86,7 +88,11 @@ class TexelSampler:
         flat = weights.astype(np.float64).ravel()
         total = flat.sum()
         # multiples of the random numbers' step: what is drawn and what pdf() says agree exactly, in float32 too
-        steps = np.rint(np.cumsum(flat) * (STEPS / total)).astype(np.int64) if total > 0 else np.zeros(flat.size, np.int64)
+        steps = (
+            np.rint(np.cumsum(flat) * (STEPS / total)).astype(np.int64)
+            if total > 0
+            else np.zeros(flat.size, np.int64)
+        )
         probability = np.diff(steps, prepend=0) / STEPS
         # float32 holds i / 2^23 exactly for i <= 2^23
         self.cumulative = mi.Float((steps / STEPS).astype(np.float32))
@@ -140,7 +146,12 @@ def checked(cubemap: Float[Tensor, "6 R R 3"]) -> Float[Tensor, "6 R R 3"]:
     Raises:
         PrtError: if it is no cubemap or holds NaN, infinite or negative radiance.
     """
-    if cubemap.ndim != 4 or cubemap.shape[0] != 6 or cubemap.shape[1] != cubemap.shape[2] or cubemap.shape[3] != 3:
+    if (
+        cubemap.ndim != 4
+        or cubemap.shape[0] != 6
+        or cubemap.shape[1] != cubemap.shape[2]
+        or cubemap.shape[3] != 3
+    ):
         raise PrtError(f"lighting of shape {tuple(cubemap.shape)} is no cubemap; it must be (6, R, R, 3)")
     cubemap = cubemap.detach().to("cpu", torch.float32).contiguous()
     bad = int((~torch.isfinite(cubemap) | (cubemap < 0)).sum())

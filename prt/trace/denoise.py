@@ -37,15 +37,21 @@ def denoise(
     if problem:
         raise PrtError(f"denoising was asked for, but {problem}; or switch denoising off")
     if normal is not None and albedo is None:
-        raise PrtError("denoise normal=... needs albedo as well: Open Image Denoise takes a normal only beside it")
+        raise PrtError(
+            "denoise normal=... needs albedo as well: Open Image Denoise takes a normal only beside it"
+        )
     arrays = {}
     for name, value in (("image", image), ("albedo", albedo), ("normal", normal)):
         if value is None:
             continue
         if value.shape != image.shape or value.ndim != 3 or value.shape[2] != 3:
-            raise PrtError(f"denoise {name} of shape {tuple(value.shape)}: all must be (H, W, 3), as the image")
+            raise PrtError(
+                f"denoise {name} of shape {tuple(value.shape)}: all must be (H, W, 3), as the image"
+            )
         if not bool(torch.isfinite(value).all()):
-            raise PrtError(f"denoise {name} holds NaN or infinite values; all must be finite: find out where they began")
+            raise PrtError(
+                f"denoise {name} holds NaN or infinite values; all must be finite: find out where they began"
+            )
         arrays[name] = np.ascontiguousarray(value.detach().cpu().numpy(), dtype=np.float32)
     from prt.scene.mitsuba_setup import mitsuba
 

@@ -69,7 +69,9 @@ def record(
         if not isinstance(value, int) or value < 1:
             raise PrtError(f"record {name}={value!r} must be a whole number of at least 1")
     if mi.variant().startswith("scalar"):
-        raise PrtError("the transport recorder needs a vectorised Mitsuba variant: pip install karellen-llvm-core")
+        raise PrtError(
+            "the transport recorder needs a vectorised Mitsuba variant: pip install karellen-llvm-core"
+        )
     sampler = prior_sampler(prior) if prior is not None else None
     sensor = mi.load_dict(sensor_description(view))
     pixels = view.width * view.height
@@ -115,7 +117,9 @@ def _offsets(counts: Tensor) -> Tensor:
     return torch.cat([torch.zeros(1, dtype=torch.int64), counts.cumsum(0)])
 
 
-def _record_pixels(mi_scene, sensor, view, first, count, spp, max_depth, resolution, seed, sampler, thin) -> Transport:
+def _record_pixels(
+    mi_scene, sensor, view, first, count, spp, max_depth, resolution, seed, sampler, thin
+) -> Transport:
     """Record the pixels ``first`` to ``first + count``; samples come out in the order of the paths."""
     import drjit as dr
 
@@ -247,7 +251,9 @@ def next_event(mi_scene, context, si, bsdf, throughput, depth, rng, slots: NextE
     mi = mitsuba()
     active = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
     d, pdf, _ = slots.sampler.sample(rng.next_2d(), active)
-    value, bsdf_pdf, sample, weight = bsdf.eval_pdf_sample(context, si, si.to_local(d), rng.next_1d(), rng.next_2d())
+    value, bsdf_pdf, sample, weight = bsdf.eval_pdf_sample(
+        context, si, si.to_local(d), rng.next_1d(), rng.next_2d()
+    )
     carried = throughput * value
     active &= (pdf > 0) & carries(carried)
     factor = power_heuristic(pdf, bsdf_pdf) / dr.maximum(pdf, 1e-30)

@@ -41,7 +41,9 @@ class ReferenceRenderer:
             # our D surface bounces are Mitsuba's max_depth D + 1, which counts the emitter
             return mi.load_dict({"type": "path", "max_depth": bounces + 1, "hide_emitters": True})
 
-        self.full, self.direct = integrator(self.max_depth), integrator(1)
+        self.integrators = {"full": integrator(self.max_depth), "direct": integrator(1)}
+        if self.max_depth == 1:
+            del self.integrators["full"]
 
     def render(
         self, view: View, lighting: Float[Tensor, "6 R R 3"], spp: int, seed: int
@@ -61,13 +63,16 @@ class ReferenceRenderer:
         set_lighting(self.mi_scene, lighting)
         sensor = mi.load_dict(sensor_description(view))
         most = max(1, WAVEFRONT // (view.width * view.height))
-        sums = {name: np.zeros((view.height, view.width, 3)) for name in ("full", "direct")}
+        sums = {name: np.zeros((view.height, view.width, 3)) for name in self.integrators}
         for number, done in enumerate(range(0, spp, most)):
             count = min(most, spp - done)
             chunk_seed = int(np.random.SeedSequence([seed & 0xFFFFFFFF, number]).generate_state(1)[0])
-            for name, integrator in (("full", self.full), ("direct", self.direct)):
-                image = mi.render(self.mi_scene, sensor=sensor, integrator=integrator, spp=count, seed=chunk_seed)
+            for name, integrator in self.integrators.items():
+                image = mi.render(
+                    self.mi_scene, sensor=sensor, integrator=integrator, spp=count, seed=chunk_seed
+                )
                 sums[name] += np.array(image, dtype=np.float64) * (count / spp)
+        sums.setdefault("full", sums["direct"])
         sums["indirect"] = np.maximum(sums["full"] - sums["direct"], 0)  # below zero by rounding only
         return {name: torch.from_numpy(sums[name]).float() for name in COMPONENTS}
 
@@ -95,7 +100,9 @@ def _renderer(scene: Scene, resolution: int, max_depth: int) -> ReferenceRendere
 
 
 def noise_floor(
-    a: Float[Tensor, "H W 3"], b: Float[Tensor, "H W 3"], psnr: Callable[[Tensor, Tensor], float] | None = None
+    a: Float[Tensor, "H W 3"],
+    b: Float[Tensor, "H W 3"],
+    psnr: Callable[[Tensor, Tensor], float] | None = None,
 ) -> float:
     """PSNR in dB that the mean of two independent renderings has against the truth, estimated from the two.
 

@@ -6,6 +6,7 @@ sum of ``weight * L[texel]`` over them.
 """
 
 import dataclasses
+import warnings
 
 import torch
 from jaxtyping import Float, Int, UInt8
@@ -46,8 +47,7 @@ class Transport:
             "indirect": self.bounces >= 2,
             "full": self.bounces >= 1,
         }[name]
-        counts = torch.bincount(self.pixel_of_sample()[keep], minlength=self.pixels)
-        offsets = torch.cat([torch.zeros(1, dtype=torch.int64), counts.cumsum(0)])
+        offsets = torch.cat([torch.zeros(1, dtype=torch.int64), keep.cumsum(0)])[self.offsets]
         return Transport(self.resolution, offsets, self.texel[keep], self.weight[keep], self.bounces[keep])
 
     def rows(self, pixels: Int[Tensor, "N"]) -> "Transport":
@@ -58,14 +58,22 @@ class Transport:
         return Transport(self.resolution, offsets, self.texel[index], self.weight[index], self.bounces[index])
 
     def relight(self, lightings: Float[Tensor, "L T 3"]) -> Float[Tensor, "L P 3"]:
-        """Radiance of every pixel under L lightings given per texel."""
-        out = torch.empty((3, self.pixels, lightings.shape[0]))
-        for channel in range(3):
-            matrix = torch.sparse_csr_tensor(
-                self.offsets, self.texel.long(), self.weight[:, channel],
-                size=(self.pixels, lightings.shape[1]),
+        """Radiance of every pixel under L lightings given per texel (T = 6 R R)."""
+        if lightings.ndim != 3 or lightings.shape[1:] != (6 * self.resolution**2, 3):
+            raise ValueError(
+                f"lightings of shape {tuple(lightings.shape)} do not fit transport recorded at resolution "
+                f"{self.resolution}: they must be (L, {6 * self.resolution**2}, 3)"
             )
-            out[channel] = matrix @ lightings[:, :, channel].T.contiguous()
+        out = torch.zeros((3, self.pixels, lightings.shape[0]))
+        # 32-bit indices: torch would otherwise convert them in every product
+        offsets, texel = self.offsets.to(torch.int32), self.texel.to(torch.int32)
+        size = (self.pixels, lightings.shape[1])
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Sparse")
+            for channel in range(3) if len(texel) else ():
+                weight = self.weight[:, channel].contiguous()
+                matrix = torch.sparse_csr_tensor(offsets, texel, weight, size=size, check_invariants=False)
+                out[channel] = matrix @ lightings[:, :, channel].T.contiguous()
         return out.permute(2, 1, 0).contiguous()
 
     def dense(self) -> Float[Tensor, "P T 3"]:
@@ -83,6 +91,9 @@ class Transport:
             ends.append(part.offsets[1:] + total)
             total += int(part.offsets[-1])
         return Transport(
-            parts[0].resolution, torch.cat(ends), torch.cat([p.texel for p in parts]),
-            torch.cat([p.weight for p in parts]), torch.cat([p.bounces for p in parts]),
+            parts[0].resolution,
+            torch.cat(ends),
+            torch.cat([p.texel for p in parts]),
+            torch.cat([p.weight for p in parts]),
+            torch.cat([p.bounces for p in parts]),
         )

@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-import signal
 import time
 from pathlib import Path
 from typing import Any
@@ -69,7 +68,9 @@ class FakeTask:
             references = {"indirect": indirect, "full": indirect + 1.0}
             floor = {"indirect": 40.0, "full": 50.0}
             split = "near" if i % 2 else "far"
-            found.append(FakeItem(split, f"{split}{i:02d}", f"light{i}", lighting, gbuffer, references, floor))
+            found.append(
+                FakeItem(split, f"{split}{i:02d}", f"light{i}", lighting, gbuffer, references, floor)
+            )
         return found
 
     def compose(self, item: FakeItem, image: Tensor, component: str) -> dict[str, Tensor]:
@@ -85,23 +86,26 @@ class FakeMethod:
     Args:
         nan_at: the step at which the reported loss is NaN, 0 for never.
         fail: raise this text in fit.
-        kill_at: end the process by SIGKILL before this step, once (a file ``killed`` remembers).
     """
 
     component = Component.INDIRECT
     tasks = frozenset({"fake"})
 
     def __init__(
-        self, steps: int = 40, width: int = 8, rate: float = 0.01, sleep: float = 0.0, nan_at: int = 0,
-        fail: str = "", shape: int = 3,
+        self,
+        steps: int = 40,
+        width: int = 8,
+        rate: float = 0.01,
+        sleep: float = 0.0,
+        nan_at: int = 0,
+        fail: str = "",
+        shape: int = 3,
     ):
         self.steps, self.width, self.rate, self.sleep = steps, width, rate, sleep
         self.nan_at, self.fail, self.shape = nan_at, fail, shape
         self.net = torch.nn.Sequential(torch.nn.Linear(1, width), torch.nn.Tanh(), torch.nn.Linear(width, 1))
 
     def fit(self, task: Any, log: Any, seed: int, device: str) -> None:
-        if self.fail == "kill":
-            os.kill(os.getpid(), signal.SIGKILL)
         if self.fail:
             raise RuntimeError(self.fail)
         x = task.training()
@@ -158,11 +162,13 @@ class OtherMethod(FakeMethod):
 
 #: what a test writes into its own conf folder
 CONF = {
-    "task/fake": "{_target_: fakes.FakeTask, resolution: '${by_budget:{smoke:2,laptop:4}}', items: 4, bake_seconds: 0.0}",
+    "task/fake": "{_target_: fakes.FakeTask, resolution: '${by_budget:{smoke:2,laptop:4}}', items: 4, "
+    "bake_seconds: 0.0}",
     "scene/fake": "{_target_: fakes.FakeScene, name: fake, missing: null}",
     "scene/fake2": "{_target_: fakes.FakeScene, name: fake2, missing: null}",
     "lighting/fake": "{_target_: fakes.FakeLighting, resolution: '${task.resolution}'}",
-    "method/fake": "{_target_: fakes.FakeMethod, steps: 40, width: 8, rate: 0.01, sleep: 0.0, nan_at: 0, fail: ''}",
+    "method/fake": "{_target_: fakes.FakeMethod, steps: 40, width: 8, rate: 0.01, sleep: 0.0, "
+    "nan_at: 0, fail: ''}",
     "method/other": "{_target_: fakes.OtherMethod}",
     "method/nowhere": "{_target_: fakes.Nowhere}",
 }

@@ -89,11 +89,24 @@ def test_a_bug_is_one_line_and_status_1(own, capsys):
 
 
 def test_a_sweep_runs_every_combination_and_goes_on_after_a_failure(own, tmp_path):
-    command = [sys.executable, "-m", "prt.cli", "run", "-m", *own, "scene=fake,fake2", "method.fail=no luck,''"]
+    command = [
+        sys.executable,
+        "-m",
+        "prt.cli",
+        "run",
+        "-m",
+        *own,
+        "scene=fake,fake2",
+        "method.fail=no luck,''",
+    ]
     environment = {**os.environ, "PYTHONPATH": str(HERE)}
-    result = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment, cwd=tmp_path)
+    result = subprocess.run(
+        command, capture_output=True, text=True, timeout=120, env=environment, cwd=tmp_path
+    )
     states = sorted((run.path.parts[-3], run.state()) for run in find_runs(tmp_path / "runs"))
-    assert states == [("fake", "done"), ("fake", "failed"), ("fake2", "done"), ("fake2", "failed")], result.stderr
+    assert states == [("fake", "done"), ("fake", "failed"), ("fake2", "done"), ("fake2", "failed")], (
+        result.stderr
+    )
     assert result.returncode == 2
     assert "no luck" in result.stderr and "some runs of the sweep failed" in result.stderr
     assert "Traceback" not in result.stderr
@@ -105,17 +118,26 @@ def test_a_misspelt_key_stops_a_sweep_before_anything_runs(own, capsys, tmp_path
     assert find_runs(tmp_path / "runs") == []
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-def test_an_interruption_says_how_to_resume(own, tmp_path, how):
+def test_an_interruption_says_how_to_resume(own, tmp_path):
     command = [sys.executable, "-m", "prt.cli", "run", *own, "method.sleep=0.05", "method.steps=1000"]
     environment = {**os.environ, "PYTHONPATH": str(HERE)}
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment, cwd=tmp_path)
     end = time.monotonic() + 60
     while not list(tmp_path.glob("runs/**/log.csv")) and time.monotonic() < end:
         time.sleep(0.05)
-    process.send_signal(how)
+    process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "the same command resumes where it stopped: prt run" in error
     (run,) = find_runs(tmp_path / "runs")
     assert run.state() == "stopped"
+
+
+def test_a_schedulers_request_to_end_is_an_interruption(own, monkeypatch, capsys):
+    def killed(options):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(5)
+
+    monkeypatch.setitem(cli.COMMANDS, "run", killed)
+    assert cli.main(["run", *own]) == 130
+    assert "the same command resumes" in capsys.readouterr().err

@@ -27,7 +27,13 @@ def test_missing_data_says_what_is_expected_where(monkeypatch, tmp_path):
     (tmp_path / "hdri" / "a.hdr").write_bytes(b"x")
     monkeypatch.setenv("PRT_DATA", str(tmp_path))
     states = {finding.what: finding.state for finding in doctor.data()}
-    assert states == {"PRT_DATA": "ok", "hdri": "ok", "lpips": "missing", "meshes": "missing", "scenes": "missing"}
+    assert states == {
+        "PRT_DATA": "ok",
+        "hdri": "ok",
+        "lpips": "missing",
+        "meshes": "missing",
+        "scenes": "missing",
+    }
 
 
 def test_a_cache_that_cannot_be_written_is_broken(monkeypatch, tmp_path):

@@ -76,8 +76,8 @@ def state_at(step: int) -> dict:
     optimiser = torch.optim.Adam([parameter], betas=(0.8, 0.9))
     parameter.sum().backward()
     optimiser.step()
-    generator = torch.Generator().manual_seed(step)
-    return {"net": {"a/b": parameter}, "optimiser": optimiser.state_dict(), "generator": generator.get_state(),
+    rng = torch.Generator().manual_seed(step).get_state()
+    return {"net": {"a/b": parameter}, "optimiser": optimiser.state_dict(), "generator": rng,
             "note": "x", "rate": 0.1, "none": None, "flag": True, "1": 2, 1: 3}  # fmt: skip
 
 

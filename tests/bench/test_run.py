@@ -49,7 +49,9 @@ def test_a_finished_run_is_skipped_and_not_touched(choice, capsys):
 
 def test_the_hash_follows_results_not_storage(choice):
     place = folder_of(compose(choice)).path.name
-    assert folder_of(compose([*choice, "run.checkpoint_seconds=1", "run.images.save=false"])).path.name == place
+    assert (
+        folder_of(compose([*choice, "run.checkpoint_seconds=1", "run.images.save=false"])).path.name == place
+    )
     for change in ("seed=1", "method.width=9", "budget=laptop", "run.denoise=true"):
         assert folder_of(compose([*choice, change])).path.name != place
 
@@ -132,10 +134,18 @@ def test_score_recomputes_the_same_numbers_from_the_images(choice):
     folder.write_metrics([row if row[5] != "psnr" else (*row[:6], "0.0") for row in folder.metric_rows()])
     assert score.main([folder.path]) == 0
     pd.testing.assert_frame_equal(
-        folder.metrics().sort_values(columns, ignore_index=True), before.sort_values(columns, ignore_index=True)
+        folder.metrics().sort_values(columns, ignore_index=True),
+        before.sort_values(columns, ignore_index=True),
     )
     score.main([folder.path.parent], ["rmse"])  # further metrics join those there are
-    assert set(folder.metrics().metric) == {"psnr", "mae", "rmse", "bad_pixels", "noise_floor", "psnr/truncation"}
+    assert set(folder.metrics().metric) == {
+        "psnr",
+        "mae",
+        "rmse",
+        "bad_pixels",
+        "noise_floor",
+        "psnr/truncation",
+    }
 
 
 def test_score_without_images_says_what_to_do(choice):

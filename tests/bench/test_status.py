@@ -25,7 +25,9 @@ def test_states_are_read_from_the_files(tmp_path, capsys):
         assert locked(running.path / "lock")
         assert status.main(tmp_path) == 0
     assert not locked(running.path / "lock")
-    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
+    out = capsys.readouterr().out.splitlines()
+    assert "1 running, 1 failed, 1 stopped, 1 done" in out
+    lines = {line.split()[0]: line for line in out[1:5]}
     assert lines["done"].split()[3] == "a" and " 40 " in lines["done"]
     assert "the disk was full" in lines["failed"]
     assert " 12 " in lines["stopped"] and "fitting" in lines["stopped"]
@@ -40,5 +42,3 @@ def test_a_folder_further_down_and_an_empty_one(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     assert status.main(tmp_path / "empty") == 0
     assert "no runs in" in capsys.readouterr().out
-
-

@@ -65,8 +65,10 @@ def task():
     def directions():
         return torch.nn.functional.normalize(torch.randn(POINTS, 3, generator=generator), dim=1)
 
-    gbuffer = GBuffer(unit(POINTS, 3) * 2 - 1, directions(), directions(), directions(), unit(POINTS, 3), unit(POINTS, 3),
-                      unit(POINTS, 1), unit(POINTS, 2), torch.ones(POINTS, dtype=torch.bool))  # fmt: skip
+    gbuffer = GBuffer(
+        unit(POINTS, 3) * 2 - 1, directions(), directions(), directions(), unit(POINTS, 3), unit(POINTS, 3),
+        unit(POINTS, 1), unit(POINTS, 2), torch.ones(POINTS, dtype=torch.bool),
+    )  # fmt: skip
     # each point sees the lighting about its normal, in its diffuse colour
     per_point, texels = 50, 6 * RESOLUTION**2
     samples = gbuffer.normal.repeat_interleave(per_point, 0)
@@ -79,7 +81,7 @@ def task():
     )  # fmt: skip
     lightings = torch.rand(LIGHTINGS, texels, 3, generator=generator) ** 4 * torch.tensor([1.0, 2.0, 0.5])
     training = types.SimpleNamespace(
-        gbuffer=gbuffer, transport=transport, point_view=torch.zeros(POINTS), importance={"specular": torch.ones(POINTS)}
+        gbuffer=gbuffer, transport=transport, importance={"specular": torch.ones(POINTS)}
     )
     return types.SimpleNamespace(
         scene=types.SimpleNamespace(bounds=BOUNDS), resolution=RESOLUTION,
@@ -107,7 +109,8 @@ def test_learns_a_tiny_scene(fitted, task):
     assert sum(log.losses[-10:]) < 0.1 * sum(log.losses[:10])
     data = task.training()
     truth = data.transport.relight(task.train_lightings())
-    image = torch.stack([method.shade(data.gbuffer, method.light(cubemap(task, i))) for i in range(LIGHTINGS)])
+    codes = [method.light(cubemap(task, i)) for i in range(LIGHTINGS)]
+    image = torch.stack([method.shade(data.gbuffer, code) for code in codes])
     error = (image - truth).square().mean()
     assert error < 0.3 * (truth - truth.mean((0, 1))).square().mean()  # more than the mean colour was learnt
 
@@ -117,13 +120,15 @@ def test_a_brighter_light_scales_exactly(fitted, task):
     gbuffer = task.training().gbuffer
     image = method.shade(gbuffer, method.light(cubemap(task)))
     assert image.shape == (POINTS, 3) and bool((image >= 0).all())
-    torch.testing.assert_close(method.shade(gbuffer, method.light(1e6 * cubemap(task))), 1e6 * image, rtol=1e-4, atol=0)
+    brighter = method.shade(gbuffer, method.light(1e6 * cubemap(task)))
+    torch.testing.assert_close(brighter, 1e6 * image, rtol=1e-4, atol=0)
 
 
 def test_difficult_lights(fitted, task):
     method, _ = fitted
     gbuffer = task.training().gbuffer
-    assert torch.equal(method.shade(gbuffer, method.light(torch.zeros_like(cubemap(task)))), torch.zeros((POINTS, 3)))
+    black = method.shade(gbuffer, method.light(torch.zeros_like(cubemap(task))))
+    assert torch.equal(black, torch.zeros((POINTS, 3)))
     single = torch.zeros_like(cubemap(task))
     single[2, 3, 4] = 1e6
     assert bool(method.shade(gbuffer, method.light(single)).isfinite().all())

@@ -82,10 +82,12 @@ def test_agrees_with_the_reference_and_improves_with_samples(task):
     from prt.trace.reference import render
 
     item = task.tests()[0]
-    reference = render(task.scene, item.gbuffer.view, item.lighting, 1024, task.scene.max_depth, 3)["indirect"]
+    depth = task.scene.max_depth
+    reference = render(task.scene, item.gbuffer.view, item.lighting, 1024, depth, 3)["indirect"]
     truth = reference.reshape(-1, 3)[item.gbuffer.hit]
     errors = {}
-    for name, settings in {"4": dict(samples=4), "64": dict(samples=64), "4 denoised": dict(samples=4, denoise=True)}.items():
+    few, many, clean = dict(samples=4), dict(samples=64), dict(samples=4, denoise=True)
+    for name, settings in {"4": few, "64": many, "4 denoised": clean}.items():
         method = fitted(task, frame_seconds=None, **settings)
         radiance = method.shade(item.gbuffer, method.light(item.lighting))
         assert radiance.shape == (len(item.gbuffer), 3)
@@ -115,11 +117,13 @@ def test_fit_calibrates_saves_and_resumes(task, tmp_path):
 
 def test_black_light_empty_view_and_single_points(task):
     item, method = task.tests()[0], fitted(task, frame_seconds=None, samples=1, denoise=True)
-    assert torch.equal(method.shade(item.gbuffer, torch.zeros((6, 8, 8, 3))), torch.zeros((len(item.gbuffer), 3)))
+    black = method.shade(item.gbuffer, torch.zeros((6, 8, 8, 3)))
+    assert torch.equal(black, torch.zeros((len(item.gbuffer), 3)))
     empty = item.gbuffer.rows(torch.zeros(0, dtype=torch.int64))
     with pytest.raises(PrtError, match="whole images"):
         method.shade(empty, item.lighting)
-    empty.hit, empty.view = torch.zeros(24 * 24, dtype=torch.bool), View((0, 0, 9), (0, 0, 10), width=24, height=24)
+    empty.hit = torch.zeros(24 * 24, dtype=torch.bool)
+    empty.view = View((0, 0, 9), (0, 0, 10), width=24, height=24)
     assert method.shade(empty, item.lighting).shape == (0, 3)
 
 

@@ -16,7 +16,8 @@ def grid(**changes) -> HashGrid:
 
 
 def points(count: int = 200) -> torch.Tensor:
-    return torch.rand(count, 3, generator=torch.Generator().manual_seed(1)) * torch.tensor([2.0, 4.0, 1.0]) + torch.tensor(BOUNDS[0])
+    low, high = torch.tensor(BOUNDS)
+    return low + (high - low) * torch.rand(count, 3, generator=torch.Generator().manual_seed(1))
 
 
 @pytest.mark.parametrize("features", [1, 2, 4])
@@ -52,7 +53,7 @@ def test_gradient_is_deterministic():
 
 
 def test_dense_level_interpolates_linearly():
-    # Store a linear function at the corners of a dense level: trilinear interpolation reproduces it everywhere.
+    # A linear function stored at the corners of a dense level is reproduced everywhere.
     net = grid(levels=1, log2_table=12, features=1)
     assert net.dense_levels == 1
     cells = net.last_cell[0] + 1
@@ -94,8 +95,13 @@ def test_empty_batch():
     assert grid()(torch.zeros((0, 3))).shape == (0, 12)
 
 
-@pytest.mark.parametrize("wrong", [dict(levels=0), dict(log2_table=40), dict(scale=0.5), dict(scale=9.0, levels=20),
-                                   dict(bounds=((0, 0, 0), (0, 0, 0))), dict(bounds=((0, 0, 1), (1, 1, 0)))])  # fmt: skip
+WRONG = [
+    dict(levels=0), dict(log2_table=40), dict(scale=0.5), dict(scale=9.0, levels=20),
+    dict(bounds=((0, 0, 0), (0, 0, 0))), dict(bounds=((0, 0, 1), (1, 1, 0))),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", WRONG)
 def test_wrong_settings(wrong):
     with pytest.raises(PrtError, match=next(iter(wrong))):
         grid(**wrong)
