@@ -24,9 +24,9 @@ EXAMPLES = {
     "run": """
         prt run scene=cornell_glossy method=wavelet_neural method.wavelets=32 budget=laptop
         prt run -m scene=cornell_glossy,four_shapes seed=0,1,2         every combination, one after the other
-        prt run -m hydra/launcher=ray scene=cornell_glossy,kitchen     the same on any Hydra launcher
-        prt run --conf-dir mine method=my_method                       mine/method/my_method.yaml names a class
-        prt run --show scene=kitchen                                   print the settings and the run folder""",
+        prt run -m hydra/launcher=ray scene=cornell_glossy,kitchen     on any Hydra launcher
+        prt run --conf-dir mine method=my_method                       names a class of your own
+        prt run --show scene=kitchen                                   settings and run folder only""",
     "table": """
         prt table quickstart
         prt table raghavan2023/table1 budget=laptop

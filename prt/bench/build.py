@@ -54,5 +54,5 @@ def target_class(group: str, name: str) -> type | None:
         path = folder / group / f"{name}.yaml"
         if path.exists():
             with contextlib.suppress(Exception):
-                return get_class(OmegaConf.to_container(OmegaConf.load(path))["_target_"])
+                return get_class(OmegaConf.load(path)["_target_"])
     return None

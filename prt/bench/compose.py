@@ -155,7 +155,7 @@ def check_root(cfg: DictConfig) -> None:
 
 def hashed_settings(cfg: DictConfig) -> dict[str, Any]:
     """What determines a run's results, as plain data: all but bookkeeping and descriptions."""
-    plain = OmegaConf.to_container(cfg, resolve=True)
+    plain: Any = OmegaConf.to_container(cfg, resolve=True)
     plain["run"] = {key: value for key, value in plain["run"].items() if key not in RUN_ONLY}
     plain["budget"] = plain["budget"]["name"]
     return plain

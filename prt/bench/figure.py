@@ -54,9 +54,9 @@ def gather(
 
     Args:
         settings: ``rows``, a list of {scene, split, view, lighting, component, crops}, of which only
-            ``scene`` must be given (by default every scene); view and lighting are names or places in the list
-            of tests. ``component`` (``indirect``), ``split`` (the first column's) and ``denoised`` (true where
-            there are denoised images) hold for all rows.
+            ``scene`` must be given (by default every scene); view and lighting are names or places in the
+            list of tests. ``component`` (``indirect``), ``split`` (the first column's) and ``denoised`` (true
+            where there are denoised images) hold for all rows.
     """
     rows, notes = [], []
     wanted = settings.get("rows") or [{"scene": scene} for scene in layout.scenes]
@@ -149,7 +149,7 @@ def draw(rows: list[Row], layout: Layout) -> Figure | None:
             at += len(bands)
         figure.text(
             0.3 / width, 0.08 / height,
-            f"Error maps: mean over channels of |method - reference| in displayed (sRGB) values. "
+            "Error maps: mean over channels of |method - reference| in displayed (sRGB) values. "
             "Exposure: 95th percentile of the reference to 0.8 linear.",
             fontsize=6.5, color="#666666",
         )  # fmt: skip
@@ -190,7 +190,7 @@ def _draw_row(
         error = np.abs(row.pictures[label] - row.reference).mean(axis=-1)
         errors.imshow(error, cmap="magma", vmin=0, vmax=ERROR_END, interpolation="nearest")
         errors.set_anchor("N")
-        errors.set_xticks([]), errors.set_yticks([])
+        errors.set(xticks=[], yticks=[])
         best = max(v for v in row.psnr.values() if v == v) if any(v == v for v in row.psnr.values()) else None
         weight = "bold" if row.psnr[label] == best else "normal"
         errors.set_xlabel(f"{row.psnr[label]:.2f} dB", fontsize=8.5, labelpad=2, fontweight=weight)
@@ -199,7 +199,7 @@ def _draw_row(
 
 def _show(axis: Axes, picture: Image) -> None:
     axis.imshow(picture, vmin=0, vmax=1, interpolation="nearest")
-    axis.set_xticks([]), axis.set_yticks([])
+    axis.set(xticks=[], yticks=[])
     for spine in axis.spines.values():
         spine.set_visible(False)
 

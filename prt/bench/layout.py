@@ -5,6 +5,7 @@ Published numbers get a sheet of their own, so that no cell ever mixes them with
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import cast
 
 import pandas as pd
 from rich.table import Table
@@ -102,7 +103,7 @@ def quality_sheet(
         if metric not in METRICS:
             raise PrtError(f"columns.metrics: unknown metric {metric!r}; choose from {', '.join(METRICS)}")
     if column == "value":
-        results = results[results["n"].notna()]  # rows that only the paper has are no measurements
+        results = results.loc[results["n"].notna()]  # rows that only the paper has are no measurements
     figures = results.assign(half=(results["hi"].astype(float) - results["lo"].astype(float)) / 2)
     keys = ["scene", "method", "variant", "split", "component", "metric"]
     lookup = figures.drop_duplicates(keys).set_index(keys)[column].astype(float).to_dict()
@@ -218,7 +219,8 @@ def error_sheet(results: pd.DataFrame, layout: Layout) -> Sheet:
     sheet = Sheet(ERROR_TITLE, ["scene", "views", "method", "component"], [("", heads)], [])
     key = ["scene", "split", "method", "component"]
     plain = results[results["metric"].isin(names) & results["variant"].isin([v for _, v in layout.methods])]
-    for (scene, split, method, component), rows in plain.groupby(key, sort=False):
+    for place, rows in plain.groupby(key, sort=False):
+        scene, split, method, component = cast(tuple[str, str, str, str], place)
         value = rows.drop_duplicates("metric").set_index("metric")["value"].astype(float).dropna()
         if scene in layout.scenes and any(m in value for m in parts):
             cells = [Entry([f"{value[m]:.2f}" if m in value else MISSING]) for m in names]

@@ -1,7 +1,7 @@
 """The report folder of a table: results.csv first, then all that is made from it and from the run folders."""
 
 import textwrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import pandas as pd
 from omegaconf import OmegaConf
@@ -160,9 +160,9 @@ def claims_text(verdicts: pd.DataFrame) -> str:
     """Claims with their verdicts over all scenes, then the figures scene by scene."""
     overall = verdicts[verdicts["scene"].isin(SCOPES.values())]
     lines = [
-        "A claim holds (fails) on a scene where the whole 95 % interval of the difference lies on its (the other) "
-        "side; otherwise it is undecided. Differences are left minus right; `>` means better, whichever way the "
-        "metric runs. Details: [claims.csv](claims.csv).",
+        "A claim holds (fails) on a scene where the whole 95 % interval of the difference lies on its "
+        "(the other) side; otherwise it is undecided. Differences are left minus right; `>` means better, "
+        "whichever way the metric runs. Details: [claims.csv](claims.csv).",
         "", "| claim | verdict | scenes |", "|---|---|---|",
     ]  # fmt: skip
     lines += [f"| `{_cell(r.claim)}` | {SIGNS[r.verdict]} | {r.note} |" for r in overall.itertuples()]
@@ -173,7 +173,9 @@ def claims_text(verdicts: pd.DataFrame) -> str:
     ]
     for r in verdicts[~verdicts["scene"].isin(SCOPES.values())].itertuples():
         known = r.difference == r.difference and r.difference is not None
-        figures = f"{r.difference:.3g} [{r.lo:.3g}, {r.hi:.3g}]" if known else "–"
+        figures = f"{r.difference:.3g} [{r.lo:.3g}, {r.hi:.3g}]" if known and r.lo == r.lo else "–"
+        if known and r.lo != r.lo:
+            figures = f"{r.difference:.3g} [no interval]"
         count = f"{int(r.n)}" if r.n == r.n and r.n is not None else "–"
         lines.append(
             f"| `{_cell(r.claim)}` | {r.scene} | {SIGNS[r.verdict]} | {figures} | {count} | {_cell(r.note)} |"
@@ -224,10 +226,11 @@ def floor_text(results: pd.DataFrame, plan: Layout) -> str:
     if not len(floors):
         return "Not measured by these runs."
     lines = [
-        "PSNR between two seeds (dB). A reference judges only figures at least 10 dB below its own noise floor.",
+        "PSNR between two seeds (dB). A reference judges only figures 10 dB or more below its own floor.",
         "",
     ]
-    for (scene, split, component), rows in floors.groupby(["scene", "split", "component"], sort=False):
+    for place, rows in floors.groupby(["scene", "split", "component"], sort=False):
+        scene, split, component = cast(tuple[str, str, str], place)
         lines.append(f"- {plan.label(scene)}, {split}, {component}: {rows['value'].iloc[0]:.1f}")
     return "\n".join(lines)
 

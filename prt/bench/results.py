@@ -6,7 +6,7 @@ Per-image figures stay available (:func:`read_images`), because claims compare i
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -146,7 +146,8 @@ def summarise(cells: list[Cell], images: pd.DataFrame, published: pd.DataFrame |
 
 def over_seeds(figures: pd.DataFrame) -> pd.Series:
     """One figure per (view, lighting): the mean over seeds, NaN where one of them is."""
-    return figures.groupby(["view", "lighting"], sort=True)["value"].agg(lambda v: v.mean(skipna=False))
+    groups = figures.groupby(["view", "lighting"], sort=True)["value"]
+    return cast(pd.Series, groups.agg(lambda v: v.mean(skipna=False)))
 
 
 def image_interval(values: pd.Series) -> Interval:
@@ -231,7 +232,7 @@ def merge_published(measured: pd.DataFrame, published: pd.DataFrame | None) -> p
     measured["published"] = numbers.reindex(places).to_numpy() if len(measured) else []
     only_paper = published[~pd.MultiIndex.from_frame(published[PUBLISHED_KEYS]).isin(places)]
     frames = [frame for frame in (measured, only_paper) if len(frame)]
-    return pd.concat([frame.astype(object) for frame in frames], ignore_index=True)[COLUMNS]
+    return pd.concat([frame.astype(object) for frame in frames], ignore_index=True).loc[:, COLUMNS]
 
 
 def write_results(table: pd.DataFrame, path: Path) -> None:

@@ -170,9 +170,9 @@ def summary(folder: RunFolder) -> str:
     """A finished run in a few lines: mean PSNR per split and component, times, size."""
     metrics, timing = folder.metrics(), folder.timing()
     lines = []
-    for (split, component, denoised), rows in metrics[metrics.metric == "psnr"].groupby(
-        ["split", "component", "denoised"], sort=False
-    ):
+    psnr = metrics[metrics.metric == "psnr"]
+    for key, rows in psnr.groupby(["split", "component", "denoised"], sort=False):
+        split, component, denoised = tuple(key)  # pyright: ignore
         lines.append(
             f"  psnr {component}{' denoised' if denoised else ''}, {split}: {rows.value.mean():.2f} dB "
             f"({len(rows)} images)"

@@ -67,7 +67,7 @@ class RunFolder:
             raise PrtError(
                 f"{self.path} is no run folder: it has no config.yaml; `prt status` lists the runs"
             )
-        return OmegaConf.load(path)
+        return DictConfig(OmegaConf.load(path))
 
     def metrics(self) -> pd.DataFrame:
         """metrics.csv: split, view, lighting, component, metric (text), denoised (bool), value (float)."""
@@ -78,8 +78,8 @@ class RunFolder:
         return pd.read_csv(path, dtype=kinds, keep_default_na=False, na_values={"value": ["nan"]})
 
     def timing(self) -> dict[str, Any]:
-        """timing.json: ``fit`` and ``bake`` in seconds, ``bytes`` of the model, ``device`` and ``threads``, and
-        for ``light``, ``shade``, ``gbuffer`` and ``denoise`` a dict with ``median``, ``p95``, ``repetitions``."""
+        """timing.json: ``fit`` and ``bake`` in seconds, ``bytes`` of the model, ``device``, ``threads``, and
+        for ``light``, ``shade``, ``gbuffer``, ``denoise`` a dict: ``median``, ``p95``, ``repetitions``."""
         return read_json(self.path / "timing.json")
 
     def provenance(self) -> dict[str, Any]:

@@ -71,6 +71,19 @@ class Spec:
 
 
 KEYS = ("title", "about", "grid", "common", "columns", "labels", "published", "claims", "chart", "figure")
+PART_KEYS = {
+    "columns": ("metrics", "components", "splits", "as_is"),
+    "chart": ("x", "y", "split"),
+    "figure": ("component", "split", "denoised", "rows"),
+}
+
+
+def check_keys(path: Path, part: str, given: dict[str, Any], allowed: Sequence[str]) -> None:
+    """A misspelt key is an error, not a setting nobody reads."""
+    for key in given:
+        if key not in allowed:
+            name, hint = ".".join(filter(None, [part, str(key)])), composer.near(str(key), allowed)
+            raise PrtError(f"{path}: unknown key {name!r}{hint}; allowed: {', '.join(allowed)}")
 
 
 def experiment_folders() -> list[Path]:
@@ -83,7 +96,7 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
     """Read and check a table's YAML, with the command line's overrides put in place.
 
     An override of a grid axis replaces its values (``scene=a,b``); ``report=<folder>`` says where to write;
-    every other one replaces or joins ``common``. Overrides that change results write to a folder of their own.
+    every other one replaces or joins ``common``. Overrides that change results get a folder of their own.
 
     Raises:
         PrtError: for an unknown table or key, a grid without scenes or methods, a wrong claim or override.
@@ -96,11 +109,9 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
     except Exception as error:  # the YAML parser's own errors have no common base here
         raise PrtError(f"{path} is no YAML: {' '.join(str(error).split())}") from error
     content = content if isinstance(content, dict) else {}
-    for key in content:
-        if key not in KEYS:
-            raise PrtError(
-                f"{path}: unknown key {key!r}{composer.near(str(key), KEYS)}; allowed: {', '.join(KEYS)}"
-            )
+    check_keys(path, "", content, KEYS)
+    for part, allowed in PART_KEYS.items():
+        check_keys(path, part, content.get(part) or {}, allowed)
     grid = {str(key): [str(v) for v in _listed(value)] for key, value in (content.get("grid") or {}).items()}
     if not grid.get("scene") or not grid.get("method"):
         raise PrtError(f"{path}: grid must list at least one scene and one method")
@@ -187,13 +198,8 @@ def layout_of(spec: Spec, cells: Sequence[Cell]) -> Layout:
     """Order and labels of rows and columns, from the grid and ``columns``.
 
     Raises:
-        PrtError: for an unknown key or metric in ``columns``.
+        PrtError: for an unknown metric in ``columns``.
     """
-    for key in spec.columns:
-        if key not in ("metrics", "components", "splits", "as_is"):
-            raise PrtError(
-                f"{spec.path}: columns.{key} is unknown; allowed are metrics, components, splits, as_is"
-            )
     for metric in spec.columns.get("metrics", []):
         if metric not in METRICS:
             raise PrtError(

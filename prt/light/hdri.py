@@ -104,7 +104,8 @@ class HdriFolders(CachedEnvironments):
         if available < self.test_count:
             raise PrtError(
                 f"lighting.test_count={self.test_count}, but only {available} maps of "
-                f"{', '.join(self.test_folders)} are not trained on; lower it, raise lighting.held_out or add folders"
+                f"{', '.join(self.test_folders)} are not trained on; "
+                "lower it, raise lighting.held_out or add folders"
             )
         chosen: list[Path] = []
         for turn in range(self.test_count):

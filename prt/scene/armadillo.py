@@ -1,4 +1,4 @@
-"""An armadillo with a cube before a wall on a glossy ground (Raghavan 2023, ARMADILLO; its exact assets are not public)."""
+"""An armadillo with a cube before a wall on a glossy ground, after the ARMADILLO scene of Raghavan 2023."""
 
 from typing import Any, Literal
 
@@ -10,7 +10,7 @@ from prt.scene.standing_mesh import standing_mesh
 
 
 class Armadillo(Scene):
-    """A mostly diffuse scene: colour bleeds onto the wall and from the cube, the claws are reflected in the ground.
+    """A mostly diffuse scene: colour bleeds onto the walls, the ground reflects the claws.
 
     Args:
         ground_roughness, armadillo_roughness: sigma = sqrt(GGX alpha).

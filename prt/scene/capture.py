@@ -56,8 +56,8 @@ def camera_frame(view: View) -> Float[np.ndarray, "3 3"]:
     right = np.cross(forward, up)
     if not (np.isfinite(right).all() and np.linalg.norm(right) > 1e-9 * np.linalg.norm(forward) > 0.0):
         raise PrtError(
-            f"view from {view.origin} to {view.target} with up {view.up} is no camera: origin and target must "
-            "differ and up must not lie along the line of sight; choose another up"
+            f"view from {view.origin} to {view.target} with up {view.up} is no camera: origin and target "
+            "must differ and up must not lie along the line of sight; choose another up"
         )
     if not 0.0 < view.fov < 180.0 or view.width < 1 or view.height < 1:
         raise PrtError(

@@ -1,4 +1,4 @@
-"""Four animals about a metal ring on a glossy ground (Raghavan 2023, FOUR ANIMALS; its exact assets are not public)."""
+"""Four animals about a metal ring on a glossy ground, after the FOUR ANIMALS scene of Raghavan 2023."""
 
 from typing import Any, Literal
 
@@ -20,8 +20,8 @@ class FourAnimals(Scene):
     """Lion, elephant, horse and camel head from ``PRT_DATA/meshes``, each about one unit tall.
 
     Args:
-        ground_roughness, ring_roughness, metal_roughness, gloss_roughness: sigma = sqrt(GGX alpha) of the ground,
-            the ring, the copper horse and the coated elephant and lion.
+        ground_roughness, ring_roughness, metal_roughness, gloss_roughness: sigma = sqrt(GGX alpha) of the
+            ground, the ring, the copper horse and the coated elephant and lion.
         others: as in :class:`Scene`.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Diffuse colour, specular colour, roughness and shading normal of a surface, read from Mitsuba's own BSDF objects.
+"""Diffuse and specular colour, roughness and shading normal of a surface, read from Mitsuba's own BSDFs.
 
 A BSDF hands out its textures and nested BSDFs through Mitsuba's scene-graph traversal, so a textured
 parameter is evaluated at the hit by the very texture the path tracer uses. Conventions:

@@ -1,4 +1,4 @@
-"""Any Mitsuba scene: an XML file, or a dict in YAML, JSON or Python; its lights removed, the environment is the light.
+"""Any Mitsuba scene: an XML, YAML or JSON file or a dict; its lights removed, the environment is the light.
 
 What is kept is geometry and materials. Sensors, the integrator and every emitter are taken out. A shape that
 carries an area emitter is a lamp, a light panel or a window portal: it is removed with its emitter, because
@@ -16,13 +16,12 @@ from typing import Any, Literal
 
 from prt.errors import PrtError
 from prt.paths import data_file, data_folder
+from prt.scene.mitsuba_nodes import children, first_sensor, roughness_by_pattern, set_roughness
 from prt.scene.mitsuba_setup import mitsuba
 from prt.scene.scene import Scene, Trajectory, file_digest
 from prt.scene.sensor_cameras import SensorPose, cameras_around_bounds, cameras_around_sensor
 from prt.scene.view import View
 
-#: smooth BSDFs and the rough ones that take their place when a roughness is set
-ROUGH_VERSION = {"conductor": "roughconductor", "plastic": "roughplastic", "dielectric": "roughdielectric"}
 DICT_FILES = (".yaml", ".yml", ".json")
 
 
@@ -30,8 +29,8 @@ class MitsubaScene(Scene):
     """A scene read from a Mitsuba file or dict.
 
     Args:
-        path: an XML, YAML or JSON file, absolute, relative to the current folder, or below ``PRT_DATA``; or the
-            scene itself as a dict in Mitsuba's ``load_dict`` format (4 x 4 lists stand for transforms).
+        path: an XML, YAML or JSON file, absolute, relative to the current folder, or below ``PRT_DATA``;
+            or the scene itself as a dict in Mitsuba's ``load_dict`` format (4 x 4 lists are transforms).
         cameras: trajectories as in :class:`~prt.scene.scene.Scene`; None derives them from the file's own
             sensor, or from the bounding box where it has none.
         open: shapes to take out so that the environment gets in, by id; ``*`` matches any characters.
@@ -59,7 +58,7 @@ class MitsubaScene(Scene):
         super().__init__(name, cameras or self._derived_cameras(), max_depth, record)
         if path is None or (isinstance(path, (str, Path)) and not str(path).strip()):
             raise PrtError(
-                "scene.path is not set; give a Mitsuba scene: scene.path=/folder/scene.xml (.xml, .yaml, .json)"
+                "scene.path is not set; give a Mitsuba scene: scene.path=/folder/scene.xml (or .yaml, .json)"
             )
         if emitting_shapes not in ("remove", "keep"):
             raise PrtError(f"scene.emitting_shapes={emitting_shapes!r} is not one of remove, keep")
@@ -68,7 +67,7 @@ class MitsubaScene(Scene):
         self.content = _plain(path) if isinstance(path, Mapping) else None
         self.path = None if isinstance(path, Mapping) else scene_file(path)
         self.open = [str(pattern) for pattern in open]
-        self.roughness = _roughness_by_pattern(roughness)
+        self.roughness = roughness_by_pattern(roughness)
         self.emitting_shapes = emitting_shapes
         self.parameters = {key: str(value) for key, value in (parameters or {}).items()}
         self._shapes: dict[str, Any] | None = None
@@ -162,9 +161,9 @@ class MitsubaScene(Scene):
     def _build(self) -> dict[str, Any]:
         mi = mitsuba()
         config, state = _parser_config(), self._parse()
-        self._sensor = _first_sensor(state)
+        self._sensor = first_sensor(state)
         self._strip(state)
-        _set_roughness(state, self.roughness)
+        set_roughness(state, self.roughness)
         self._files(state)
         try:
             mi.parser.transform_merge_equivalent(config, state)
@@ -187,7 +186,7 @@ class MitsubaScene(Scene):
         for index, node in enumerate(state.nodes):
             if node.type == mi.ObjectType.Shape:
                 ids.add(node.props.id())
-                emits = any(state.nodes[i].type == mi.ObjectType.Emitter for _, i in _children(node))
+                emits = any(state.nodes[i].type == mi.ObjectType.Emitter for _, i in children(node))
                 opened = any(fnmatch.fnmatchcase(node.props.id(), pattern) for pattern in self.open)
                 if opened or (emits and self.emitting_shapes == "remove"):
                     gone.add(index)
@@ -200,7 +199,7 @@ class MitsubaScene(Scene):
                     f"some that exist: {', '.join(sorted(ids)[:8])}"
                 )
         for node in state.nodes:
-            for key, index in _children(node):
+            for key, index in children(node):
                 if index in gone:
                     del node.props[key]
 
@@ -234,85 +233,12 @@ def _parser_config():
     return config
 
 
-def _children(node) -> list[tuple[str, int]]:
-    mi = mitsuba()
-    values = ((key, node.props[key]) for key in list(node.props.keys()))
-    return [
-        (key, value.index()) for key, value in values if isinstance(value, mi.Properties.ResolvedReference)
-    ]
-
-
 def _find(name: str, folders: list[Path]) -> Path:
     """An existing file of this name in one of the folders, or where it was first expected."""
     if Path(name).is_absolute():
         return Path(name)
     found = [folder / name for folder in folders if (folder / name).exists()]
     return (found or [folders[0] / name])[0].resolve()
-
-
-def _first_sensor(state) -> SensorPose | None:
-    """Pose and horizontal field of view of the file's first perspective sensor."""
-    mi = mitsuba()
-    for node in state.nodes:
-        if node.type != mi.ObjectType.Sensor or node.props.plugin_name() not in ("perspective", "thinlens"):
-            continue
-        aspect = 1.0
-        for _, index in _children(node):
-            film = state.nodes[index]
-            if film.type == mi.ObjectType.Film and "width" in film.props and "height" in film.props:
-                aspect = float(film.props["width"]) / float(film.props["height"])
-        try:
-            fov = float(mi.parse_fov(node.props, aspect))
-        except Exception:
-            fov = 50.0
-        matrix = node.props["to_world"].matrix if "to_world" in node.props else mi.ScalarTransform4f().matrix
-        return SensorPose.from_matrix(matrix, fov)
-    return None
-
-
-def _set_roughness(state, by_pattern: dict[str, float]) -> None:
-    """Set sigma on every BSDF whose id, or that of a BSDF around it, matches."""
-    mi = mitsuba()
-    bsdfs = {i: node for i, node in enumerate(state.nodes) if node.type == mi.ObjectType.BSDF}
-
-    def apply(index: int, sigma: float) -> None:
-        props = bsdfs[index].props
-        plugin = ROUGH_VERSION.get(props.plugin_name(), props.plugin_name())
-        if plugin in ROUGH_VERSION.values():
-            props.set_plugin_name(plugin)
-            for key in ("alpha_u", "alpha_v"):
-                if key in props:
-                    del props[key]
-            props["alpha"] = sigma**2
-            props["distribution"] = "ggx"
-        elif plugin in ("principled", "principledthin"):
-            props["roughness"] = sigma
-        for _, child in _children(bsdfs[index]):
-            if child in bsdfs:
-                apply(child, sigma)
-
-    for pattern, sigma in by_pattern.items():
-        matching = [
-            i for i, node in bsdfs.items() if pattern == "*" or fnmatch.fnmatchcase(node.props.id(), pattern)
-        ]
-        if not matching and pattern != "*":
-            some = ", ".join(sorted(node.props.id() for node in bsdfs.values() if node.props.id())[:8])
-            raise PrtError(f"scene.roughness: no BSDF is called {pattern!r}; some that exist: {some}")
-        for index in matching:
-            apply(index, sigma)
-
-
-def _roughness_by_pattern(value: float | Mapping[str, float] | None) -> dict[str, float]:
-    if value is None:
-        return {}
-    by_pattern = {str(k): v for k, v in value.items()} if isinstance(value, Mapping) else {"*": value}
-    for pattern, sigma in by_pattern.items():
-        if isinstance(sigma, bool) or not isinstance(sigma, (int, float)) or not 0.0 <= sigma <= 1.0:
-            raise PrtError(
-                f"scene.roughness={sigma!r} (for {pattern!r}) must be a number from 0 (mirror) to 1 (sigma, the square "
-                "root of GGX alpha), or null to leave the file's own"
-            )
-    return {pattern: float(sigma) for pattern, sigma in by_pattern.items()}
 
 
 def _read_dict(path: Path) -> dict[str, Any]:

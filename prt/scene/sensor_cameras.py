@@ -1,4 +1,4 @@
-"""Camera trajectories for a scene that comes without any: around its own sensor, or around its bounding box."""
+"""Camera trajectories for a scene without any: around its own sensor, or around its bounding box."""
 
 import dataclasses
 import math
@@ -17,7 +17,7 @@ WIDEST = 90.0
 
 @dataclasses.dataclass(frozen=True)
 class SensorPose:
-    """A sensor's place and axes (right, up, forward; unit, world space) and horizontal field of view, degrees."""
+    """A sensor's place and axes (right, up, forward; unit, world space) and horizontal fov in degrees."""
 
     origin: np.ndarray
     right: np.ndarray
@@ -51,8 +51,8 @@ def cameras_around_sensor(mi_scene, pose: SensorPose) -> dict[str, list[Trajecto
         def views(places: Sequence[float]) -> list[View]:
             axes = np.stack([pose.right, pose.up, pose.forward])
             origins = [pose.origin + np.asarray(offset(place)) @ axes for place in places]
-            return [View(tuple(map(float, o)), tuple(map(float, target)), tuple(map(float, pose.up)), pose.fov)
-                    for o in origins]  # fmt: skip
+            target_up = tuple(map(float, target)), tuple(map(float, pose.up))
+            return [View(tuple(map(float, origin)), *target_up, pose.fov) for origin in origins]
 
         return views
 

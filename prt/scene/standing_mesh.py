@@ -21,7 +21,7 @@ def standing_mesh(
     tilt: float = 0.0,
     sink: float = 0.0,
 ) -> dict[str, Any]:
-    """A Mitsuba shape dict of the mesh with its lowest point on y = 0 and the middle of its footprint at ``at``.
+    """A Mitsuba shape dict of the mesh, its lowest point on y = 0, the middle of its footprint at ``at``.
 
     Vertex normals that the file lacks are computed when Mitsuba loads it.
 

@@ -87,7 +87,7 @@ class TexelSampler:
         mi = mitsuba()
         flat = weights.astype(np.float64).ravel()
         total = flat.sum()
-        # multiples of the random numbers' step: what is drawn and what pdf() says agree exactly, in float32 too
+        # multiples of the random numbers' step: what is drawn and what pdf() says agree exactly
         steps = (
             np.rint(np.cumsum(flat) * (STEPS / total)).astype(np.int64)
             if total > 0
@@ -157,8 +157,8 @@ def checked(cubemap: Float[Tensor, "6 R R 3"]) -> Float[Tensor, "6 R R 3"]:
     bad = int((~torch.isfinite(cubemap) | (cubemap < 0)).sum())
     if bad:
         raise PrtError(
-            f"lighting holds {bad} NaN, infinite or negative values; radiance must be finite and not negative: "
-            "mend it with prt.light.cubemap.sanitise"
+            f"lighting holds {bad} NaN, infinite or negative values; it must be finite and not negative: "
+            "mend it with prt.light.sanitise"
         )
     return cubemap
 
@@ -188,7 +188,7 @@ def emitter_class() -> type:
         def set_radiance(self, cubemap: Float[Tensor, "6 R R 3"]) -> None:
             if cubemap.shape[1] != self.resolution:
                 raise PrtError(
-                    f"lighting of resolution {cubemap.shape[1]} does not fit the scene's emitter of resolution "
+                    f"lighting of resolution {cubemap.shape[1]} does not fit the emitter, loaded with "
                     f"{self.resolution}; use one resolution, or load the scene anew"
                 )
             self.radiance = mi.Float(cubemap.numpy().ravel())

@@ -37,9 +37,7 @@ def denoise(
     if problem:
         raise PrtError(f"denoising was asked for, but {problem}; or switch denoising off")
     if normal is not None and albedo is None:
-        raise PrtError(
-            "denoise normal=... needs albedo as well: Open Image Denoise takes a normal only beside it"
-        )
+        raise PrtError("denoise normal=... needs albedo as well: the filter takes a normal only beside it")
     arrays = {}
     for name, value in (("image", image), ("albedo", albedo), ("normal", normal)):
         if value is None:
@@ -49,9 +47,7 @@ def denoise(
                 f"denoise {name} of shape {tuple(value.shape)}: all must be (H, W, 3), as the image"
             )
         if not bool(torch.isfinite(value).all()):
-            raise PrtError(
-                f"denoise {name} holds NaN or infinite values; all must be finite: find out where they began"
-            )
+            raise PrtError(f"denoise {name} holds NaN or infinite values; find out where they began")
         arrays[name] = np.ascontiguousarray(value.detach().cpu().numpy(), dtype=np.float32)
     from prt.scene.mitsuba_setup import mitsuba
 

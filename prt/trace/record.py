@@ -53,8 +53,8 @@ def record(
         max_depth: surface bounces D; equals Mitsuba's ``path`` with ``max_depth = D + 1``.
         resolution: R of the cubemap the texels refer to.
         seed: equal seeds give equal records.
-        prior: lighting that next-event samples are drawn from, of any resolution Q; None for BSDF sampling only.
-        merge: add up samples of one pixel, texel and class (background, direct, indirect): smaller, not faster.
+        prior: lighting that next-event samples are drawn from, of any resolution; None: BSDF sampling only.
+        merge: add up samples of one pixel, texel and class (background, direct, indirect): smaller.
         thin: next-event samples whose throughput times BSDF times cosine is below this are dropped by Russian
             roulette (unbiased; the record gets smaller and noisier); 0 keeps all. Only used with a prior.
 
@@ -251,9 +251,8 @@ def next_event(mi_scene, context, si, bsdf, throughput, depth, rng, slots: NextE
     mi = mitsuba()
     active = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
     d, pdf, _ = slots.sampler.sample(rng.next_2d(), active)
-    value, bsdf_pdf, sample, weight = bsdf.eval_pdf_sample(
-        context, si, si.to_local(d), rng.next_1d(), rng.next_2d()
-    )
+    wo = si.to_local(d)
+    value, bsdf_pdf, sample, weight = bsdf.eval_pdf_sample(context, si, wo, rng.next_1d(), rng.next_2d())
     carried = throughput * value
     active &= (pdf > 0) & carries(carried)
     factor = power_heuristic(pdf, bsdf_pdf) / dr.maximum(pdf, 1e-30)

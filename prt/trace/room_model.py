@@ -1,7 +1,7 @@
 """A random furnished room as plain arrays: boxes with coloured faces, glowing rectangles, and an eye.
 
-Every room has the same number of boxes and rectangles; those it does not need lie parked under the floor. So a
-renderer can keep one scene and change only its numbers.
+Every room has the same number of boxes and rectangles; those it does not need lie parked under the floor. So
+a renderer can keep one scene and change only its numbers.
 """
 
 import dataclasses
@@ -201,7 +201,7 @@ class _Builder:
             self.boxes.append((_CORNERS * half + centre, np.repeat(paint[None], 12, 0)))
 
     def sun_patch(self, daylight: float) -> None:
-        """Sunlight on the floor: a bright skewed quadrilateral, warm, many times brighter than the sky's glow."""
+        """Sunlight on the floor: a bright skewed quadrilateral, warm and brighter than the sky."""
         rng = self.rng
         x, z = rng.uniform(-0.6, 0.6, 2) * self.half[[0, 2]]
         angle, skew = rng.uniform(0, 2 * math.pi), rng.uniform(-0.5, 0.5)

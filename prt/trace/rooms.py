@@ -13,6 +13,7 @@ from prt.light.cubemap import face_directions, rotate, yaw
 from prt.light.environments import CachedEnvironments
 from prt.progress import track
 from prt.scene.mitsuba_setup import mitsuba
+from prt.trace.denoise import denoise as denoise_image
 from prt.trace.room_model import BOX_TRIANGLES, BOXES, RECTANGLES, Room, random_room
 from prt.trace.sky import random_sky
 
@@ -29,6 +30,7 @@ class ProceduralEnvironments(CachedEnvironments):
         rotations: yaw angles in degrees of the training environments (Raghavan 2023, section 5).
         spp: path samples a texel of a room.
         max_depth: surface bounces in a room.
+        denoise: remove the noise left in the rooms (Open Image Denoise).
         seed: of all rooms and skies.
         normalise, clamp, mend: see :class:`CachedEnvironments`.
 
@@ -44,8 +46,9 @@ class ProceduralEnvironments(CachedEnvironments):
         test_rooms: int = 4,
         test_skies: int = 4,
         rotations: Sequence[float] = (0, 120, 240),
-        spp: int = 64,
+        spp: int = 36,
         max_depth: int = 5,
+        denoise: bool = True,
         seed: int = 0,
         normalise: bool = True,
         clamp: float | None = None,
@@ -70,7 +73,7 @@ class ProceduralEnvironments(CachedEnvironments):
         self.rooms = {"train": train_rooms, "test": test_rooms}
         self.skies = {"train": train_skies, "test": test_skies}
         self.rotations = [float(x) for x in rotations]
-        self.spp, self.max_depth, self.seed = spp, max_depth, seed
+        self.spp, self.max_depth, self.denoise, self.seed = spp, max_depth, denoise, seed
 
     def seeds(self, split: str, count: int) -> list[int]:
         """Seeds of one split's rooms (or skies)."""
@@ -85,10 +88,10 @@ class ProceduralEnvironments(CachedEnvironments):
         return [name + (f"_yaw{turn:g}" if turn else "") for turn in turns for name in single]
 
     def describe(self) -> str:
-        turns = ", ".join(f"{turn:g}" for turn in self.rotations)
+        turns, rooms, skies = ", ".join(f"{x:g}" for x in self.rotations), self.rooms, self.skies
         return (
-            f"{self.rooms['train']} procedural rooms and {self.skies['train']} skies turned by {turns} degrees; "
-            f"tests: {self.rooms['test']} other rooms and {self.skies['test']} other skies; "
+            f"{rooms['train']} procedural rooms and {skies['train']} skies turned by {turns} degrees; "
+            f"tests: {rooms['test']} other rooms and {skies['test']} other skies; "
             f"{'unit mean radiance' if self.normalise else 'own exposure'}"
         )
 
@@ -98,13 +101,14 @@ class ProceduralEnvironments(CachedEnvironments):
             "skies": self.skies[split],
             "spp": self.spp,
             "max_depth": self.max_depth,
+            "denoise": self.denoise,
             "seed": self.seed,
         }
         return content | ({"rotations": self.rotations} if split == "train" else {})
 
     def build(self, split: str) -> Float[Tensor, "n 6 R R 3"]:
         R = self.resolution
-        tracer = RoomTracer(R, self.spp, self.max_depth) if self.rooms[split] else None
+        tracer = RoomTracer(R, self.spp, self.max_depth, self.denoise) if self.rooms[split] else None
         jobs = [(True, seed) for seed in self.seeds(split, self.rooms[split])]
         jobs += [(False, seed) for seed in self.seeds(split, self.skies[split])]
         single = [
@@ -118,14 +122,14 @@ class ProceduralEnvironments(CachedEnvironments):
 class RoomTracer:
     """One Mitsuba scene whose numbers change from room to room, so its kernels are compiled once."""
 
-    def __init__(self, R: int, spp: int, max_depth: int):
+    def __init__(self, R: int, spp: int, max_depth: int, denoise: bool = True):
         mi = mitsuba()
         if "scalar" in mi.variant():
             raise PrtError(
-                f"procedural rooms need a vectorised Mitsuba, not {mi.variant()}: pip install karellen-llvm-core, "
-                "or set lighting.train_rooms=0 lighting.test_rooms=0 for skies only"
+                f"procedural rooms need a vectorised Mitsuba, not {mi.variant()}: "
+                "pip install karellen-llvm-core, or set lighting.train_rooms=0 lighting.test_rooms=0"
             )
-        self.R, self.spp = R, spp
+        self.R, self.spp, self.denoise = R, spp, denoise
         content: dict[str, Any] = {"type": "scene", "boxes": boxes_mesh()}
         for i in range(RECTANGLES):
             content[f"light{i:02d}"] = {
@@ -148,7 +152,8 @@ class RoomTracer:
         self.furnish(room)
         d = jittered_directions(self.R, self.spp, seed)
         sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed % 2**31, len(d))
+        # one seed for all rooms, whose directions differ anyway: the seed is compiled into a kernel
+        sampler.seed(0, len(d))
         ray = mi.RayDifferential3f(
             mi.Ray3f(
                 o=mi.Point3f(*(mi.Float(np.full(len(d), x, np.float32)) for x in room.eye)),
@@ -157,7 +162,8 @@ class RoomTracer:
         )
         radiance, _, _ = self.integrator.sample(self.scene, sampler, ray, None, True)
         samples = torch.from_numpy(np.array(radiance).T.copy())
-        return samples.reshape(6, self.R, self.R, self.spp, 3).mean(3)
+        cubemap = samples.reshape(6, self.R, self.R, self.spp, 3).mean(3)
+        return denoised(cubemap) if self.denoise else cubemap
 
     def furnish(self, room: Room) -> None:
         """Put a room's numbers into the scene."""
@@ -173,6 +179,19 @@ class RoomTracer:
             self.params[f"{name}.emitter.radiance.value"] = mi.Color3f(room.radiance[i].tolist())
             self.params[f"{name}.emitter.sampling_weight"] = float(power[i] / power.sum())
         self.params.update()
+
+
+def denoised(cubemap: Float[Tensor, "6 R R 3"]) -> Float[Tensor, "6 R R 3"]:
+    """The four sides as one strip, floor and ceiling by themselves, through Open Image Denoise."""
+    R = cubemap.shape[1]
+    sides = [0, 5, 1, 4]
+    out = torch.empty_like(cubemap)
+    strip = denoise_image(torch.cat([cubemap[face] for face in sides], 1))
+    for i, face in enumerate(sides):
+        out[face] = strip[:, i * R : (i + 1) * R]
+    for face in (2, 3):
+        out[face] = denoise_image(cubemap[face])
+    return out
 
 
 def boxes_mesh():
@@ -195,7 +214,7 @@ def boxes_mesh():
 
 
 def jittered_directions(R: int, spp: int, seed: int) -> Float[Tensor, "D 3"]:
-    """``spp`` directions in every texel, texel by texel: on a square grid where spp is a square, at random else."""
+    """``spp`` directions in every texel, texel by texel; one in each cell of a grid where spp is a square."""
     generator = torch.Generator().manual_seed(seed)
     shape = (6, R, R, spp)
     jitter = torch.rand((2, *shape), generator=generator)

@@ -27,7 +27,7 @@ def random_sky(seed: int, R: int) -> Float[Tensor, "6 R R 3"]:
             math.cos(elevation) * math.sin(azimuth),
         ]
     )
-    ground = np.array([0.2, 0.18, 0.12]) * rng.uniform(0.3, 2.5) * rng.uniform(0.6, 1.4, 3)
+    ground = np.array([0.2, 0.18, 0.12]) * rng.uniform(0.3, 2.5) * rng.uniform(0.8, 1.25, 3)
     # a sun that fills one texel leaves little for other wavelets: most skies have it veiled
     return sky(R, sun, turbidity=rng.uniform(2, 9), ground=ground, sun_scale=rng.uniform(0, 1) ** 2)
 
@@ -37,8 +37,8 @@ def sky(
 ) -> Float[Tensor, "6 R R 3"]:
     """Radiance of sky, sun and ground.
 
-    The sky is averaged over sub-texels; the sun, smaller than a sub-texel, is integrated over its own disc and
-    put into the texels it covers with its energy kept.
+    The sky is averaged over sub-texels; the sun, smaller than a sub-texel, is integrated over its own disc
+    and put into the texels it covers with its energy kept.
 
     Args:
         sun: unit direction towards the sun, y up.

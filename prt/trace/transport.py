@@ -40,7 +40,7 @@ class Transport:
         return torch.repeat_interleave(torch.arange(self.pixels), counts)
 
     def component(self, name: str) -> "Transport":
-        """The samples of ``direct`` (one bounce), ``indirect`` (two or more), ``background`` (none) or ``full``."""
+        """The samples of ``background`` (0 bounces), ``direct`` (1), ``indirect`` (2+) or ``full`` (1+)."""
         keep = {
             "background": self.bounces == 0,
             "direct": self.bounces == 1,

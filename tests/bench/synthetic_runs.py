@@ -1,4 +1,4 @@
-"""Run folders with the documented layout and made-up figures, for tests of tables, claims, charts and figures."""
+"""Run folders with the documented layout and made-up figures, for tests of tables, claims and charts."""
 
 import csv
 import json

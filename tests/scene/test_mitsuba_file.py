@@ -1,4 +1,4 @@
-"""Scenes from Mitsuba files and dicts: lights removed, shapes opened, roughness set, cameras found, errors in one line."""
+"""Scenes from Mitsuba files and dicts: lights removed, shapes opened, roughness, cameras, errors."""
 
 import json
 
@@ -24,15 +24,19 @@ ROOM = """<scene version="3.0.0">
     {sensor}
     <bsdf type="twosided" id="Paint"><bsdf type="diffuse">
         <rgb name="reflectance" value="0.5, 0.4, 0.3"/></bsdf></bsdf>
-    <bsdf type="twosided" id="Chrome"><bsdf type="conductor"><string name="material" value="none"/></bsdf></bsdf>
+    <bsdf type="twosided" id="Chrome"><bsdf type="conductor">
+        <string name="material" value="none"/></bsdf></bsdf>
     <bsdf type="roughplastic" id="Coat"><float name="alpha" value="0.1"/></bsdf>
     <shape type="obj" id="Floor"><string name="filename" value="floor.obj"/><ref id="Paint"/></shape>
     <shape type="rectangle" id="Ceiling">
-        <transform name="to_world"><scale value="3"/><rotate x="1" angle="90"/><translate y="2.5"/></transform>
+        <transform name="to_world"><scale value="3"/><rotate x="1" angle="90"/>
+        <translate y="2.5"/></transform>
         <ref id="Paint"/></shape>
-    <shape type="sphere" id="Ball"><point name="center" x="0" y="0.8" z="0"/><float name="radius" value="0.6"/>
+    <shape type="sphere" id="Ball"><point name="center" x="0" y="0.8" z="0"/>
+        <float name="radius" value="0.6"/>
         <ref id="Chrome"/></shape>
-    <shape type="sphere" id="Bead"><point name="center" x="0.9" y="0.8" z="0.6"/><float name="radius" value="0.2"/>
+    <shape type="sphere" id="Bead"><point name="center" x="0.9" y="0.8" z="0.6"/>
+        <float name="radius" value="0.2"/>
         <ref id="Coat"/></shape>
     <shape type="rectangle" id="Panel"><transform name="to_world"><translate z="2"/></transform>
         <emitter type="area"><rgb name="radiance" value="9"/></emitter></shape>
@@ -141,10 +145,11 @@ def test_xml_parameters(room):
 
 def test_dicts_in_python_json_and_yaml(tmp_path):
     matrix = [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 1], [0, 0, 0, 1]]
+    paint = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.2, 0.4, 0.6]}}
     content = {
-        "square": {"type": "rectangle", "to_world": matrix, "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.2, 0.4, 0.6]}}},
+        "square": {"type": "rectangle", "to_world": matrix, "bsdf": paint},
         "lamp": {"type": "point", "position": [0, 0, 3]},
-    }  # fmt: skip
+    }
     (tmp_path / "scene.json").write_text(json.dumps({"type": "scene", **content}))
     (tmp_path / "scene.yaml").write_text(json.dumps(content))
     for path in (content, tmp_path / "scene.json", tmp_path / "scene.yaml"):

@@ -1,0 +1,83 @@
+"""The speed-accuracy chart: directions from the metric, a true Pareto front, reproducible files."""
+
+import xml.etree.ElementTree as ET
+
+import matplotlib.image
+import numpy as np
+import pytest
+from synthetic_runs import make_run
+
+from prt.bench import chart
+from prt.bench.chart import Axis, Point, draw, pareto, points
+from prt.bench.layout import Layout
+from prt.bench.results import read_images, summarise
+from prt.errors import PrtError
+
+METHODS = ("wavelet_neural", "neural_prt", "path_traced")
+PLAN = Layout(["box", "den"], [(m, "") for m in METHODS], as_is=["path_traced"])
+
+
+@pytest.fixture
+def results(tmp_path):
+    cells = [make_run(tmp_path, scene, method) for scene in ("box", "den") for method in METHODS]
+    return summarise(cells, read_images(cells))
+
+
+def point(x: float, y: float) -> Point:
+    return Point("s", f"{x}/{y}", "", False, x, y, x, y, y)
+
+
+def test_pareto_front_follows_both_directions():
+    cloud = [point(1, 20), point(2, 30), point(3, 25), point(4, 31), point(2, 28)]
+    assert [(p.x, p.y) for p in pareto(cloud, "lower", "higher")] == [(1, 20), (2, 30), (4, 31)]
+    assert [(p.x, p.y) for p in pareto(cloud, "lower", "lower")] == [(1, 20)]
+    assert [(p.x, p.y) for p in pareto(cloud, "higher", "higher")] == [(4, 31)]
+
+
+def test_points_carry_their_figures(results):
+    found = points(results, PLAN, Axis.parse("time/frame"), Axis.parse("psnr/indirect"), "far")
+    assert len(found) == 2 * (2 + 2 + 1)  # as it renders and denoised; path_traced only as it renders
+    plain, denoised = (p for p in found if p.scene == "box" and p.method == "wavelet_neural")
+    assert (plain.x, plain.x_hi) == (pytest.approx(0.083), pytest.approx(0.0996))
+    assert denoised.x == pytest.approx(0.093) and denoised.y == pytest.approx(plain.y + 0.8)
+    assert plain.y_lo < plain.y < plain.y_hi
+
+
+def arrow(figure) -> np.ndarray:
+    """From the arrow's tail to its tip, in axes fractions."""
+    note = next(t for t in figure.axes[0].texts if getattr(t, "arrow_patch", None) is not None)
+    return np.subtract(note.xy, note.xyann)
+
+
+def test_better_arrow_follows_the_metric(results):
+    assert (np.sign(arrow(draw(results, PLAN, {"x": "time/frame", "y": "psnr/indirect"}))) == [-1, 1]).all()
+    assert (np.sign(arrow(draw(results, PLAN, {"x": "time/frame", "y": "lpips/indirect"}))) == [-1, -1]).all()
+    assert (np.sign(arrow(draw(results, PLAN, {"x": "ssim/full", "y": "psnr/full"}))) == [1, 1]).all()
+
+
+def test_one_panel_a_scene_one_look_a_method(results):
+    figure = draw(results, PLAN, {}, "Times on a test CPU.")
+    assert [axis.get_title(loc="left") for axis in figure.axes] == ["Box", "Den"]
+    assert all(axis.get_xscale() == "log" for axis in figure.axes)
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels[:3] == ["wavelet neural", "neural prt", "path traced"] and "Pareto front" in labels
+    assert any("test CPU" in text.get_text() for text in figure.texts)
+
+
+def test_files_are_whole_and_the_same_again(results, tmp_path):
+    files = []
+    for name in ("one", "two"):
+        folder = tmp_path / name
+        folder.mkdir()
+        chart.write(draw(results, PLAN, {}), folder)
+        files.append([(folder / f).read_bytes() for f in ("chart.svg", "chart.png")])
+    assert files[0] == files[1]
+    assert ET.fromstring(files[0][0]).tag.endswith("svg")
+    pixels = matplotlib.image.imread(tmp_path / "one" / "chart.png")
+    assert min(pixels.shape[:2]) > 300 and pixels[..., :3].std() > 0.02
+
+
+def test_nothing_to_draw_and_wrong_axes(results):
+    assert draw(results[results["metric"] != "time/frame"], PLAN, {}) is None
+    with pytest.raises(PrtError, match="psnr/everything"):
+        draw(results, PLAN, {"y": "psnr/everything"})

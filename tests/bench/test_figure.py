@@ -1,0 +1,76 @@
+"""The figure of images with error maps."""
+
+import matplotlib.image
+import numpy as np
+import pytest
+from synthetic_runs import fake_references, make_run, reference
+
+from prt.bench import figure
+from prt.bench.layout import Layout
+from prt.bench.results import read_images
+from prt.metrics.tonemap import exposure_of, to_srgb
+
+METHODS = [("wavelet_neural", ""), ("neural_prt", ""), ("path_traced", "")]
+PLAN = Layout(["box"], METHODS, as_is=["path_traced"])
+
+
+@pytest.fixture
+def cells(tmp_path):
+    return [make_run(tmp_path, "box", method, images=True) for method, _ in PLAN.methods]
+
+
+def test_rows_show_what_the_metrics_saw(cells):
+    images = read_images(cells)
+    settings = {"component": "indirect", "rows": [{"scene": "box", "view": "view1", "lighting": 1}]}
+    rows, notes = figure.gather(cells, images, PLAN, settings, fake_references)
+    assert notes == [] and len(rows) == 1
+    row = rows[0]
+    assert (row.split, row.view, row.lighting) == ("far", "view1", "forest")
+    assert row.exposure == exposure_of(reference())
+    np.testing.assert_allclose(row.reference, to_srgb(reference(), row.exposure))
+    assert list(row.pictures) == ["wavelet neural", "neural prt", "path traced"]
+    for method, variant in (("wavelet_neural", "denoised"), ("path_traced", "")):
+        own = images[
+            (images.method == method)
+            & (images.variant == variant)
+            & (images.view == "view1")
+            & (images.lighting == "forest")
+            & (images.split == "far")
+            & (images.component == "indirect")
+            & (images.metric == "psnr")
+        ]
+        assert row.psnr[method.replace("_", " ")] == own["value"].item()
+    errors = {label: np.abs(picture - row.reference).mean() for label, picture in row.pictures.items()}
+    assert errors["wavelet neural"] < errors["neural prt"] < errors["path traced"]
+
+
+def test_drawn_with_labels_and_the_best_in_bold(cells, tmp_path):
+    settings = {"rows": [{"scene": "box", "crops": [[0.1, 0.1, 0.3, 0.3], [0.5, 0.5, 0.3, 0.3]]}]}
+    rows, _ = figure.gather(cells, read_images(cells), PLAN, settings, fake_references)
+    drawn = figure.draw(rows, PLAN)
+    titles = [axis.get_title() for axis in drawn.axes]
+    assert "Reference (indirect)" in titles and "neural prt" in titles
+    below = {axis.get_xlabel(): axis.xaxis.label.get_fontweight() for axis in drawn.axes if axis.get_xlabel()}
+    assert len(below) == 3 and all(text.endswith(" dB") for text in below)
+    best = max(below, key=lambda text: float(text.split()[0]))
+    assert [text for text, weight in below.items() if weight == "bold"] == [best]
+    figure.write(drawn, tmp_path)
+    first = (tmp_path / "figure.png").read_bytes()
+    assert matplotlib.image.imread(tmp_path / "figure.png").std() > 0.1
+    figure.write(figure.draw(rows, PLAN), tmp_path)
+    assert (tmp_path / "figure.png").read_bytes() == first
+
+
+def test_what_cannot_be_shown_is_said(cells, tmp_path):
+    images = read_images(cells)
+    plan = Layout(["box", "den"], PLAN.methods)
+    rows, notes = figure.gather(cells, images, plan, {}, fake_references)
+    assert len(rows) == 1 and notes == ["no picture of Den: no finished run has far views of it"]
+    settings = {"rows": [{"scene": "box", "view": "view9"}]}
+    _, notes = figure.gather(cells, images, plan, settings, fake_references)
+    assert "'view9' is not among view0, view1, view2" in notes[0]
+    cells[0].run.image_file("far", "view0", "studio", "indirect", True).unlink()
+    cells[0].run.image_file("far", "view0", "studio", "indirect", False).unlink()
+    rows, notes = figure.gather(cells, images, PLAN, {}, fake_references)
+    assert rows == [] and "image not found" in notes[0]
+    assert figure.draw([], PLAN) is None

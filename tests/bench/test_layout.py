@@ -1,0 +1,155 @@
+"""The tidy table and its layouts: right cells, published apart from measured, reasons for gaps."""
+
+import re
+
+import pandas as pd
+import pytest
+from synthetic_runs import make_run
+
+from prt.bench import layout
+from prt.bench.layout import Layout, cost_sheet, quality_sheet, to_latex, to_markdown
+from prt.bench.results import (
+    COLUMNS,
+    merge_published,
+    read_images,
+    read_published,
+    read_results,
+    summarise,
+    write_results,
+)
+from prt.errors import PrtError
+
+PLAN = Layout(["box"], [("wavelet_neural", ""), ("neural_prt", "")], labels={"neural_prt": "NPRT"})
+
+
+def published_rows(*rows) -> pd.DataFrame:
+    table = pd.DataFrame([dict(zip(COLUMNS, row, strict=True)) for row in rows])
+    return table
+
+
+def paper_row(scene: str, value: float) -> tuple:
+    nan = float("nan")
+    keys = (scene, "wavelet_neural", "denoised", "paper", "GPU", "far", "full", "psnr")
+    return (*keys, nan, nan, nan, nan, nan, value)
+
+
+@pytest.fixture
+def cells(tmp_path):
+    return [make_run(tmp_path, "box", "wavelet_neural"), make_run(tmp_path, "box", "neural_prt")]
+
+
+def test_means_counts_and_columns(cells, tmp_path):
+    images = read_images(cells)
+    table = summarise(cells, images)
+    assert list(table.columns) == COLUMNS
+    assert not table.duplicated(COLUMNS[:8]).any()
+    own = images[
+        (images.method == "neural_prt")
+        & (images.variant == "denoised")
+        & (images.split == "far")
+        & (images.component == "indirect")
+        & (images.metric == "psnr")
+    ]
+    row = table[
+        (table.method == "neural_prt")
+        & (table.variant == "denoised")
+        & (table.split == "far")
+        & (table.component == "indirect")
+        & (table.metric == "psnr")
+    ].iloc[0]
+    assert row["value"] == pytest.approx(own["value"].mean()) and row["n"] == len(own) == 6
+    assert row["lo"] < row["value"] < row["hi"]
+    write_results(table, tmp_path / "results.csv")
+    back = read_results(tmp_path / "results.csv")
+    assert list(back.columns) == COLUMNS and (back["variant"] == table["variant"]).all()
+
+
+def test_seeds_are_averaged_image_by_image(tmp_path):
+    cells = [make_run(tmp_path, "box", "neural_prt", seed=seed) for seed in (0, 1, 2)]
+    table = summarise(cells, read_images(cells))
+    rows = table[(table.metric == "psnr") & (table.component == "full")]
+    assert (rows["seeds"] == 3).all() and (rows["n"] == 6).all()
+    assert table[table.metric == "time/fit"]["value"].item() == 481.0
+
+
+def test_costs(cells):
+    table = summarise(cells, read_images(cells)).set_index(["method", "variant", "metric"])["value"]
+    assert table["wavelet_neural", "", "time/shade"] == 0.08
+    assert table["wavelet_neural", "", "time/frame"] == pytest.approx(0.083)
+    assert table["wavelet_neural", "denoised", "time/frame"] == pytest.approx(0.093)
+    assert table["wavelet_neural", "", "bytes/model"] == 2_000_000
+    assert table["wavelet_neural", "", "time/fit"] == 480.0
+    assert ("wavelet_neural", "denoised", "time/shade") not in table.index
+
+
+def test_published_numbers_stay_in_their_column(cells):
+    paper = published_rows(paper_row("box", 12.34), paper_row("palace", 56.78))
+    plain, merged = summarise(cells, read_images(cells)), summarise(cells, read_images(cells), paper)
+    pd.testing.assert_series_equal(
+        merged["value"].iloc[: len(plain)].astype(float), plain["value"].astype(float), check_index=False
+    )
+    beside = merged[merged["published"] == 12.34].iloc[0]
+    assert beside["budget"] == "laptop" and beside["value"] > 20
+    alone = merged[merged["published"] == 56.78].iloc[0]
+    assert alone[["value", "lo", "hi", "n"]].isna().all() and alone["scene"] == "palace"
+    plan = Layout(["box", "palace"], PLAN.methods)
+    measured, published = quality_sheet(merged, plan), quality_sheet(merged, plan, "published")
+    assert "12.34" not in to_markdown(measured) and "56.78" not in to_markdown(measured)
+    assert "12.34" in to_markdown(published) and "56.78" in to_markdown(published)
+
+
+def test_a_published_file_may_not_fill_measured_columns(tmp_path):
+    table = published_rows(paper_row("box", 12.34))
+    table["value"] = 12.34
+    table.to_csv(tmp_path / "paper.csv", index=False)
+    with pytest.raises(PrtError, match="only the column `published`"):
+        read_published(tmp_path / "paper.csv")
+    assert merge_published(table, None) is table
+
+
+def test_cells_best_and_directions(cells):
+    sheet = quality_sheet(summarise(cells, read_images(cells)), PLAN)
+    assert [lead for lead, _ in sheet.rows[:2]] == [
+        ["PSNR (dB) ↑", "wavelet neural", "no"],
+        ["PSNR (dB) ↑", "wavelet neural", "yes"],
+    ]
+    assert sheet.rows[2][0][1] == "NPRT" and sheet.rows[-1][0][0] == "LPIPS ↓"
+    for lead, row in sheet.rows:  # wavelet_neural denoised is the best on every metric, whichever way it runs
+        wins = lead[1] == "wavelet neural" and lead[2] == "yes"
+        assert all(all(entry.best) == wins and any(entry.best) == wins for entry in row)
+    assert re.fullmatch(r"\d\d\.\d\d / \d\d\.\d\d", sheet.rows[0][1][0].text(str))
+    assert len(sheet.rows[0][1]) == 2  # far, near
+
+
+def test_failed_missing_and_unavailable(tmp_path):
+    good = make_run(tmp_path, "box", "wavelet_neural", lpips=None)
+    bad = make_run(tmp_path, "box", "neural_prt", state="failed")
+    absent = make_run(tmp_path, "den", "neural_prt", state="absent")
+    cells = [good, bad, absent]
+    reasons = {(c.scene, c.method, c.variant): c.reason for c in cells if not c.done}
+    plan = Layout(["box", "den"], PLAN.methods)
+    results = summarise(cells, read_images(cells))
+    text = to_markdown(quality_sheet(results, plan, reasons=reasons))
+    failed = next(line for line in text.splitlines() if "| neural prt | no" in line)
+    assert failed.split("|")[4].strip() == "failed" and failed.split("|")[5].strip() == layout.MISSING
+    assert "loss became NaN at step 12" in text
+    lpips = next(line for line in text.splitlines() if line.startswith("| LPIPS"))
+    assert "n/a / n/a" in lpips and "LPIPS could not be computed" in text
+
+
+def test_latex_is_escaped_and_balanced(cells):
+    text = to_latex(quality_sheet(summarise(cells, read_images(cells)), PLAN, title="50 % of a_b & c"))
+    assert r"50 \% of a\_b \& c" in text and r"$\uparrow$" in text and r"\textbf{" in text
+    rows = [line for line in text.splitlines() if line.endswith(r"\\") and "multicolumn" not in line]
+    assert len({len(re.findall(r"(?<!\\)&", line)) for line in rows}) == 1
+
+
+def test_cost_sheet(cells):
+    text = to_markdown(cost_sheet(summarise(cells, read_images(cells)), PLAN))
+    line = next(line for line in text.splitlines() if "NPRT" in line)
+    assert [c.strip() for c in line.split("|")[4:-1]] == ["480", "4", "3", "20", "10", "23", "2"]
+
+
+def test_unknown_metric_is_an_error(cells):
+    with pytest.raises(PrtError, match="unknown metric 'psnrr'"):
+        quality_sheet(summarise(cells, read_images(cells)), Layout(["box"], PLAN.methods, metrics=["psnrr"]))
