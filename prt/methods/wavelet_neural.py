@@ -114,7 +114,7 @@ class WaveletNeural:
         data, settings = task.training(), self.training
         torch.manual_seed(seed)
         generator = torch.Generator().manual_seed(seed)
-        sigma = wavelet_scale(data.transport, settings["scale_rows"], torch.Generator().manual_seed(seed))
+        sigma = wavelet_scale(data.transport, data.gbuffer)
         self.build(task.scene.bounds, task.resolution, sigma, device)
         net, rates = self.net, settings["rates"]
         optimiser = torch.optim.Adam(
@@ -128,6 +128,8 @@ class WaveletNeural:
         points = PointSampler(settings["strategies"], data.importance, settings["pixels"])
         lightings = task.train_lightings()
         coefficients = haar.forward(lightings.view(-1, 6, self.resolution, self.resolution, 3)).flatten(1, 3)
+        # the share of the image that a wavelet is expected to carry, over lightings and places
+        self.draw_weights = coefficients.square().mean(dim=(0, 2)).sqrt() * sigma
         surface = net.features(data.gbuffer)
         positions = data.gbuffer.position.to(device)
         # on the CPU the corners of a point cost more than the look-up; on a GPU they cost memory only
@@ -146,7 +148,8 @@ class WaveletNeural:
                 seen = lightings[which]
             target = radiance(data.transport, chosen, seen).to(device)
             space = net.grid(positions[chosen]) if corners is None else net.grid.lookup(corners.rows(chosen))
-            predicted = net.coefficients(space, surface[chosen].to(device), k.to(device))
+            with torch.autocast(torch.device(device).type, torch.bfloat16, enabled=settings["precision"] == "bfloat16"):
+                predicted = net.coefficients(space, surface[chosen].to(device), k.to(device)).float()
             image = torch.einsum("pkc,lkc->lpc", predicted, kept.to(device))
             return image_loss(image, target, settings["loss"], settings["mu"], settings["epsilon"])
 
@@ -164,7 +167,7 @@ class WaveletNeural:
         ranks = strength.argsort(dim=1, descending=True)[:, :largest]
         mine = largest // len(coefficients) + 1
         chosen = torch.unique(ranks[:, :mine])[: largest]
-        weights = self.sigma.cpu().clone() if self.training["draw"] == "transport" else torch.ones(total)
+        weights = self.draw_weights.clone() if self.training["draw"] == "transport" else torch.ones(total)
         weights[chosen] = 0
         rest = torch.multinomial(weights, count - len(chosen), generator=generator)
         return torch.cat([chosen, rest])

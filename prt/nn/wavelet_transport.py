@@ -50,6 +50,8 @@ class WaveletTransport(nn.Module):
         self.feature = nn.Parameter(torch.eye(terms) + torch.randn(terms, terms) / terms**0.5 * 0.1)
         inputs = terms + (degree + 1) ** 2 + 10
         self.mlp = Mlp(inputs, width, 2, 3)
+        with torch.no_grad():  # no transport at first: random coefficients of 64 wavelets would add up to noise
+            self.mlp.layers[2].weight.mul_(0.1)
         self.register_buffer("scale", torch.ones(wavelets) if scale is None else scale)
 
     @property
@@ -98,4 +100,4 @@ class WaveletTransport(nn.Module):
         hidden = self.hidden(space, features, self.fold(k))
         last = self.mlp.layers[2]
         out = torch.addmm(last.bias, hidden, last.weight.T).view(space.shape[0], len(k), 3)
-        return out * self.scale[k][None, :, None]
+        return out.float() * self.scale[k][None, :, None]

@@ -1,4 +1,4 @@
-"""What recording transport costs, against rendering images: paths per second, cost of a training set, variance.
+"""What recording transport costs against rendering: paths per second, cost of a training set, variance.
 
 All of it is measured in one run on one machine, record and renderer in turn, so that another load on the
 machine meets both. The renderer is Mitsuba's ``path`` with emitter sampling on the same scene, view, number
@@ -66,10 +66,11 @@ def benchmark(
     Raises:
         PrtError: if a number is below what the measure needs.
     """
-    for name, value, least in (("size", size, 1), ("spp", spp, 1), ("lights", lights, 1), ("repetitions", repetitions, 3),
-                               ("variance_spp", variance_spp, 1), ("variance_seeds", variance_seeds, 3)):  # fmt: skip
-        if value < least:
-            raise PrtError(f"record benchmark {name}={value} must be at least {least}")
+    least = {"size": 1, "spp": 1, "lights": 1, "repetitions": 3, "variance_spp": 1, "variance_seeds": 3}
+    given = (size, spp, lights, repetitions, variance_spp, variance_seeds)
+    for (name, lowest), value in zip(least.items(), given, strict=True):
+        if value < lowest:
+            raise PrtError(f"record benchmark {name}={value} must be at least {lowest}")
     view = (view or scene.views("far", 1, size)[0]).resized(size, size)
     setup = Setup(scene, view, train, lights)
     steps = len(MODES) * (repetitions + WARM_UP + 3) + len(maps) * variance_seeds
@@ -173,7 +174,7 @@ class Setup:
 
 
 def timed(function: Callable[[], object]) -> float:
-    """Seconds of one call; both sides end with their numbers in host memory, so nothing is left to wait for."""
+    """Seconds of one call; both sides end with their numbers in host memory: nothing is left to wait for."""
     start = time.perf_counter()
     function()
     return time.perf_counter() - start

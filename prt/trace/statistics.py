@@ -1,35 +1,44 @@
 """What recorded transport says about the wavelets: how large their coefficients are."""
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from prt.light import haar
+from prt.scene.gbuffer import GBuffer
 from prt.trace.transport import Transport
 
 
-def wavelet_scale(transport: Transport, rows: int, generator: torch.Generator, chunk: int = 256) -> Float[Tensor, "T"]:
-    """Root mean square of the transport coefficients per wavelet, sigma_k, over randomly chosen rows.
+def wavelet_scale(transport: Transport, gbuffer: GBuffer, cells: int = 12) -> Float[Tensor, "T"]:
+    """Root mean square of the transport coefficients per wavelet, sigma_k, averaged over the three colours.
 
-    The samples of a row are split into two independent halves a and b, and sigma_k^2 = mean of T_k^a T_k^b:
-    the Monte Carlo noise of the halves is independent, so it does not count as transport (the mean of T_k^2
-    would put a floor of noise under the fine wavelets). Averaged over the three colours. Where the estimate
-    is below a hundredth of the mean over the wavelets of equal support it is raised to that.
+    A single recorded row is mostly Monte Carlo noise at the fine wavelets, and noise must not count as
+    transport. Rows are therefore averaged over clusters of points that lie close together and reflect into
+    about the same direction, which lowers the noise power by the size of the cluster, and sigma_k is taken
+    over the clusters, weighted by their sizes.
+
+    Args:
+        gbuffer: the points of the transport's rows.
+        cells: clusters along the longest side of the points' bounding box.
     """
-    resolution = transport.resolution
-    chosen = torch.randperm(transport.pixels, generator=generator)[:rows]
-    total = torch.zeros(6 * resolution**2)
-    for part in chosen.split(chunk):
-        some = transport.rows(part)
-        first = torch.rand(len(some.texel), generator=generator) < 0.5
-        halves = []
-        for side in (first, ~first):
-            half = Transport(resolution, some.offsets, some.texel, some.weight * side[:, None] * 2, some.bounces)
-            texels = half.dense().view(-1, 6, resolution, resolution, 3)
-            halves.append(haar.forward(texels).view(len(part), -1, 3))
-        total += (halves[0] * halves[1]).mean(dim=2).sum(dim=0)
-    power = total / len(chosen)
-    support = haar.support_size(torch.arange(len(power)), resolution)
-    sums = torch.zeros(resolution + 1).index_add_(0, support, power.clamp(min=0))
-    mean = sums / torch.bincount(support, minlength=resolution + 1).clamp(min=1)
-    return torch.maximum(power, 0.01 * mean[support]).clamp(min=1e-20).sqrt()
+    wavelets = 6 * transport.resolution**2
+    cluster = clusters(gbuffer, cells)
+    size = torch.bincount(cluster)
+    place = cluster[transport.pixel_of_sample()] * wavelets + transport.texel
+    power = torch.zeros(wavelets)
+    for channel in range(3):
+        rows = torch.bincount(place, transport.weight[:, channel], minlength=len(size) * wavelets).float()
+        # the sum over a cluster divided by sqrt(size): its mean, weighted by its size once squared
+        rows = rows.view(len(size), wavelets, 1) / size.sqrt()[:, None, None]
+        power += haar.forward(rows)[:, :, 0].square().sum(dim=0)
+    return (power / (3 * len(gbuffer))).clamp(min=1e-20).sqrt()
+
+
+def clusters(gbuffer: GBuffer, cells: int) -> Int[Tensor, "N"]:
+    """Number of the cluster of every point: the cell it lies in and the cubemap face its wr points through."""
+    low, high = gbuffer.position.min(dim=0).values, gbuffer.position.max(dim=0).values
+    cell = ((gbuffer.position - low) / (high - low).max().clamp(min=1e-9) * (cells - 1e-3)).long()
+    axis = gbuffer.wr.abs().argmax(dim=1)
+    negative = gbuffer.wr.gather(1, axis[:, None])[:, 0] < 0
+    key = ((cell[:, 0] * cells + cell[:, 1]) * cells + cell[:, 2]) * 6 + 2 * axis + negative
+    return torch.unique(key, return_inverse=True)[1]

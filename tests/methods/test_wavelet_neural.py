@@ -11,8 +11,8 @@ from prt.scene.gbuffer import GBuffer
 RESOLUTION = 8
 TRAINING = dict(
     steps=30, pixels=64, wavelets=32, largest_share=0.5, draw="transport", lightings=2, target="truncated",
-    loss="mu_law_slope", mu=10.0, epsilon=1.0, rates=dict(grid=1e-2, wavelet=1e-2, mlp=2e-3), average=0.9,
-    scale_rows=32, strategies=dict(uniform=1.0, specular=1.0),
+    loss="mu_law_slope", precision="float32", mu=10.0, epsilon=1.0, rates=dict(grid=1e-2, wavelet=1e-2, mlp=2e-3), average=0.9,
+    strategies=dict(uniform=1.0, specular=1.0),
 )  # fmt: skip
 
 
