@@ -15,6 +15,7 @@ about half a million parameters. The training data, loss and pixel sampling are 
 """
 
 import dataclasses
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -203,16 +204,16 @@ class NeuralPrt:
     # ---- fitting
 
     def build(self, bounds, resolution: int, device: str) -> None:
-        """Make an untrained network for a scene's bounds and a cubemap resolution."""
+        """Make an untrained network for a box of space and a cubemap resolution."""
         self.net = NeuralPrtNet(bounds, resolution, **self.sizes).to(device)
-        self.resolution, self.device = resolution, device
+        self.resolution, self.device, self.bounds = resolution, device, bounds
 
     def fit(self, task: Any, log: FitLog, seed: int, device: str) -> None:
         """Train encoder, transport and decoders end to end on points of the training views."""
         data, settings = task.training(), self.training
         torch.manual_seed(seed)
         generator = torch.Generator().manual_seed(seed)
-        self.build(task.scene.bounds, task.resolution, device)
+        self.build(data.bounds, task.resolution, device)
         net, surface = self.net, data.gbuffer.to(device)
         lightings = task.train_lightings()
         unit, mean = normalise(lightings.view(-1, 6, self.resolution, self.resolution, 3).to(device))
@@ -276,13 +277,13 @@ class NeuralPrt:
 
     def save(self, path: Path) -> None:
         state = {name: value.detach().cpu().contiguous() for name, value in self.net.state_dict().items()}
-        save_file(state, path, metadata={"resolution": str(self.resolution)})
+        save_file(state, path, metadata={"resolution": str(self.resolution), "bounds": json.dumps(self.bounds)})
 
     def load(self, path: Path, task: Any, device: str) -> None:
         """Raises PrtError where the file was written with other sizes."""
         with safe_open(path, "pt") as file:
-            resolution = int(file.metadata()["resolution"])
-        self.build(task.scene.bounds, resolution, device)
+            resolution, bounds = int(file.metadata()["resolution"]), json.loads(file.metadata()["bounds"])
+        self.build(bounds, resolution, device)
         try:
             self.net.load_state_dict(load_file(path))
         except RuntimeError as error:

@@ -12,6 +12,7 @@ by it (``selection``, ``draw``), and a step trains several lightings cut to the 
 """
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any, Literal
 
@@ -103,10 +104,11 @@ class WaveletNeural:
     # ---- fitting
 
     def build(self, bounds, resolution: int, sigma: Tensor, device: str) -> None:
-        """Make an untrained network for a scene's bounds and a cubemap resolution."""
+        """Make an untrained network for a box of space and a cubemap resolution."""
         grid = HashGrid(**self.grid_settings, bounds=bounds)
         scale = sigma if self.scale_outputs else None
         self.net = WaveletTransport(grid, 6 * resolution**2, self.width, self.sh_degree, scale).to(device)
+        self.bounds = bounds
         self.sigma, self.resolution, self.device = sigma.to(device), resolution, device
 
     def fit(self, task: Any, log: FitLog, seed: int, device: str) -> None:
@@ -115,7 +117,7 @@ class WaveletNeural:
         torch.manual_seed(seed)
         generator = torch.Generator().manual_seed(seed)
         sigma = wavelet_scale(data.transport, data.gbuffer)
-        self.build(task.scene.bounds, task.resolution, sigma, device)
+        self.build(data.bounds, task.resolution, sigma, device)
         net, rates = self.net, settings["rates"]
         optimiser = torch.optim.Adam(
             [
@@ -240,11 +242,11 @@ class WaveletNeural:
 
     def save(self, path: Path) -> None:
         state = {name: value.detach().cpu().contiguous() for name, value in self.net.state_dict().items()}
-        save_file({**state, "sigma": self.sigma.cpu().clone()}, path, metadata={"resolution": str(self.resolution)})
+        save_file({**state, "sigma": self.sigma.cpu().clone()}, path, metadata={"resolution": str(self.resolution), "bounds": json.dumps(self.bounds)})
 
     def load(self, path: Path, task: Any, device: str) -> None:
         with safe_open(path, "pt") as file:
-            resolution = int(file.metadata()["resolution"])
+            resolution, bounds = int(file.metadata()["resolution"]), json.loads(file.metadata()["bounds"])
         state = load_file(path)
-        self.build(task.scene.bounds, resolution, state.pop("sigma"), device)
+        self.build(bounds, resolution, state.pop("sigma"), device)
         self.net.load_state_dict(state)

@@ -5,14 +5,16 @@ import functools
 import hashlib
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from prt.cache import cached
 from prt.errors import PrtError
+from prt.metrics.image import PSNR_CAP
 from prt.metrics.registry import evaluate
-from prt.metrics.tonemap import exposure_of
+from prt.metrics.tonemap import exposure_of, to_srgb
 from prt.progress import track
 from prt.scene.capture import capture
 from prt.scene.gbuffer import GBuffer
@@ -42,6 +44,11 @@ class Training:
     point_view: Int[Tensor, "N"]
     views: list[View]
     importance: dict[str, Tensor]
+
+    @property
+    def bounds(self) -> tuple[list[float], list[float]]:
+        """Corners of the box of all training points: what is seen, where the scene's own box may be mostly ground."""
+        return self.gbuffer.position.amin(dim=0).tolist(), self.gbuffer.position.amax(dim=0).tolist()
 
 
 @dataclasses.dataclass
@@ -223,20 +230,30 @@ class RelightIndirect:
     def error_split(self, item: TestItem, image: Tensor, method: Any) -> dict[str, float]:
         """PSNR of the indirect image's error parts: truncation of the lighting, fit, noise of the reference.
 
-        The truncated truth is the reference plus the recorded transport of the lighting's lost part.
+        The truncated truth is the reference less the recorded transport of the lighting's lost part. Records
+        are noisy, so each squared error is the product of two estimates from independent records.
         """
         reference = item.references["indirect"]
-        exposure = exposure_of(reference.numpy())
         parts = {"noise": item.noise_floor["indirect"]}
         if hasattr(method, "truncated") and item.gbuffer.view is not None:
-            _, transport = self.recorded(item.gbuffer.view, self.split_spp, 9000 + self.seed)
             lost = (item.lighting - method.truncated(item.lighting)).reshape(1, -1, 3)
-            missing = transport.component("indirect").relight(lost)[0].view(reference.shape)
-            parts["truncation"] = psnr(reference - missing, reference, exposure)
-            parts["fit"] = psnr(image, reference - missing, exposure)
+            exposure = exposure_of(reference.numpy())
+            whole, fitted = to_srgb(reference, exposure), to_srgb(image, exposure)
+            kept = []
+            for half in (0, 1):
+                _, transport = self.recorded(item.gbuffer.view, self.split_spp, 9000 + 2 * self.seed + half)
+                missing = transport.component("indirect").relight(lost)[0].view(reference.shape)
+                kept.append(to_srgb(reference - missing, exposure))
+            parts["truncation"] = product_psnr(whole - kept[0], whole - kept[1])
+            parts["fit"] = product_psnr(fitted - kept[0], fitted - kept[1])
         return parts
 
 
-def psnr(image: Tensor, reference: Tensor, exposure: float | None = None) -> float:
-    """PSNR in dB as every table here has it: sRGB after an exposure, the reference's own by default."""
-    return evaluate(image, reference, ["psnr"], exposure)["psnr"]
+def product_psnr(first: np.ndarray, second: np.ndarray) -> float:
+    """PSNR in dB of an error of which there are two estimates with independent noise."""
+    return float(min(-10 * np.log10(max(float(np.mean(first * second)), 1e-12)), PSNR_CAP))
+
+
+def psnr(image: Tensor, reference: Tensor) -> float:
+    """PSNR in dB as every table here has it: sRGB after the reference's exposure."""
+    return evaluate(image, reference, ["psnr"])["psnr"]
