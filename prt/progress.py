@@ -5,7 +5,14 @@ import time
 from collections.abc import Iterable, Iterator
 from typing import TypeVar
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 Item = TypeVar("Item")
 #: seconds between two lines of progress where the output is a file or a pipe
@@ -24,8 +31,14 @@ class Bar:
     def __enter__(self) -> "Bar":
         if sys.stderr.isatty():
             self.rich = Progress(
-                TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-                TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[note]}"), transient=True,
+                TextColumn("{task.description}"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeElapsedColumn(),
+                TextColumn("left"),
+                TimeRemainingColumn(),
+                TextColumn("{task.fields[note]}"),
+                transient=True,
             )
             from rich.console import Console
 
@@ -42,7 +55,11 @@ class Bar:
             self.printed = time.monotonic()
             pace = (self.printed - self.started) / max(self.done - self.first, 1)
             left = pace * (self.total - self.done)
-            print(f"{self.label}: {self.done}/{self.total}, {left:.0f} s left {note}".rstrip(), file=sys.stderr, flush=True)
+            print(
+                f"{self.label}: {self.done}/{self.total}, {left:.0f} s left {note}".rstrip(),
+                file=sys.stderr,
+                flush=True,
+            )
 
     def __exit__(self, *_: object) -> None:
         if self.rich is not None:

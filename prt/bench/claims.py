@@ -12,14 +12,15 @@ One claim is one line::
 
 ``>`` always means *better*, whichever way the metric runs; ``~ ... within`` means equal up to that much. A
 method may carry its variant and its split in brackets. ``|`` writes several claims in one line. Costs have no
-component and no split: ``wavelet_neural > path_traced on time/frame, every scene``.
+component and no split: ``wavelet_neural > path_traced on time/frame, every scene``. A benchmark's ratios have a
+component: ``record[mode=bsdf] > 0.7 on ratio/paths/full, every scene``.
 """
 
 import itertools
 import re
 from dataclasses import dataclass
 
-from prt.bench.results import is_cost
+from prt.bench.results import is_cost, measured_once
 from prt.errors import PrtError
 
 GRAMMAR = (
@@ -110,7 +111,7 @@ def _parse(text: str, known_metrics: set[str] | None) -> Claim:
 
     terms = [[_term(t, wrong) for t in side.split(" - ")] for side in (left, right)]
     for term in itertools.chain(*terms):
-        if term.method and not (term.split or split or is_cost(metric)):
+        if term.method and not (term.split or split or measured_once(metric)):
             raise wrong(f"it does not say whether {term.method} is judged on near or far views")
     return Claim(
         text, tuple(terms[0]), tuple(terms[1]), metric, component, split, scope, scenes,

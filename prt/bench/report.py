@@ -1,11 +1,13 @@
 """The report folder of a table: results.csv first, then all that is made from it and from the run folders."""
 
 import textwrap
+from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import pandas as pd
 from omegaconf import OmegaConf
 from rich.console import Console
+from rich.table import Table
 
 from prt.bench import chart, figure, layout
 from prt.bench.layout import Layout, Sheet
@@ -70,14 +72,18 @@ def write_report(
         folder / "report.md", describe(spec, plan, cells, results, verdicts, reasons, sheets, notes).encode()
     )
 
-    console = console or Console()
+    # one table a split: all side by side would not fit a screen
+    tables = [layout.to_rich(sheets[0], group) for group in range(len(plan.splits))]
+    tables += [layout.to_rich(sheet) for sheet in sheets if sheet.title == layout.COST_TITLE]
+    show(folder, tables, verdicts, console or Console())
+
+
+def show(folder: Path, tables: list[Table], verdicts: pd.DataFrame, console: Console) -> None:
+    """Print tables, verdicts and where the report lies."""
     # a pipe has no width; a table cut to 80 columns cannot be read
     wide = console if console.is_terminal else Console(file=console.file, width=200)
-    for group in range(len(plan.splits)):  # one table a split: all side by side would not fit a screen
-        wide.print(layout.to_rich(sheets[0], group))
-    for sheet in sheets:
-        if sheet.title == layout.COST_TITLE:
-            wide.print(layout.to_rich(sheet))
+    for table in tables:
+        wide.print(table)
     for row in verdicts[verdicts["scene"].isin(SCOPES.values())].itertuples() if len(verdicts) else ():
         console.print(
             f"{SIGNS[row.verdict]}: {row.claim} ({row.note})", markup=False, highlight=False, soft_wrap=True

@@ -79,6 +79,11 @@ def is_cost(metric: str) -> bool:
     return metric.startswith(("time/", "bytes/"))
 
 
+def measured_once(metric: str) -> bool:
+    """Whether a metric has one figure, not one an image, and so no split: costs, and a benchmark's figures."""
+    return is_cost(metric) or metric.startswith(("ratio/", "paths/"))
+
+
 def direction_of(metric: str) -> str:
     """``higher`` or ``lower``, from the metric's own definition.
 
@@ -89,7 +94,7 @@ def direction_of(metric: str) -> str:
         return "lower"
     if metric == BAD_PIXELS:
         return "lower"
-    if metric == NOISE_FLOOR or metric.startswith("ratio/"):
+    if metric == NOISE_FLOOR or metric.startswith(("ratio/", "paths/")):
         return "higher"
     return metric_of(metric.partition("/")[0]).direction
 

@@ -14,6 +14,8 @@ A table's YAML (``experiments/<paper>/<table>.yaml``) holds only its differences
     claims: ["wavelet_neural > neural_prt on psnr/indirect, far, every scene"]
     chart: {x: time/frame, y: psnr/indirect}
     figure: {component: indirect, rows: [{scene: kitchen, view: 0, lighting: 0}]}
+
+A YAML with ``benchmark: {_target_: ...}`` measures instead of running methods: ``prt.bench.benchmark``.
 """
 
 import itertools
@@ -37,6 +39,7 @@ from prt.bench.results import Cell
 from prt.cache import write_atomically
 from prt.errors import PrtError
 from prt.metrics.registry import METRICS
+from prt.paths import data_folder
 
 #: overrides that change where or how runs are kept, not what comes out of them
 BOOKKEEPING = ("run.", "report")
@@ -64,14 +67,19 @@ class Spec:
     claims: list[Claim] = field(default_factory=list)
     chart: dict[str, Any] = field(default_factory=dict)
     figure: dict[str, Any] = field(default_factory=dict)
+    benchmark: dict[str, Any] = field(default_factory=dict)
 
     @property
     def command(self) -> str:
         return " ".join(["prt table", self.name, *self.overrides])
 
 
-KEYS = ("title", "about", "grid", "common", "columns", "labels", "published", "claims", "chart", "figure")
+KEYS = (
+    "title", "about", "grid", "common", "columns", "labels", "published", "claims", "chart", "figure",
+    "benchmark", "without_data",
+)  # fmt: skip
 PART_KEYS = {
+    "without_data": ("grid", "common"),
     "columns": ("metrics", "components", "splits", "as_is"),
     "chart": ("x", "y", "split"),
     "figure": ("component", "split", "denoised", "rows"),
@@ -95,8 +103,10 @@ def experiment_folders() -> list[Path]:
 def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
     """Read and check a table's YAML, with the command line's overrides put in place.
 
+    Where ``PRT_DATA`` is not set, the YAML's ``without_data`` takes the place of its ``grid`` and ``common``.
     An override of a grid axis replaces its values (``scene=a,b``); ``report=<folder>`` says where to write;
-    every other one replaces or joins ``common``. Overrides that change results get a folder of their own.
+    ``benchmark.<key>`` changes a benchmark's setting; every other one replaces or joins ``common``. Overrides
+    that change results get a folder of their own.
 
     Raises:
         PrtError: for an unknown table or key, a grid without scenes or methods, a wrong claim or override.
@@ -112,8 +122,13 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
     check_keys(path, "", content, KEYS)
     for part, allowed in PART_KEYS.items():
         check_keys(path, part, content.get(part) or {}, allowed)
+    if data_folder() is None:
+        content |= content.get("without_data") or {}
+    benchmark = content.get("benchmark") or {}
+    if benchmark and not benchmark.get("_target_"):
+        raise PrtError(f"{path}: benchmark has no _target_; name the function that measures")
     grid = {str(key): [str(v) for v in _listed(value)] for key, value in (content.get("grid") or {}).items()}
-    if not grid.get("scene") or not grid.get("method"):
+    if not grid.get("scene") or not (grid.get("method") or benchmark):
         raise PrtError(f"{path}: grid must list at least one scene and one method")
     grid.setdefault("seed", ["0"])
     common, changed, report = [str(c) for c in content.get("common") or []], [], None
@@ -126,6 +141,10 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
         elif key in grid:
             changed += [text] if grid[key] != value.split(",") else []
             grid[key] = value.split(",")
+        elif benchmark and key.startswith("benchmark."):
+            changed += [text]
+            added = OmegaConf.from_dotlist([text.removeprefix("benchmark.")])
+            benchmark = OmegaConf.to_container(OmegaConf.merge(benchmark, added))
         else:
             new = text not in common and not key.startswith(BOOKKEEPING)
             changed += [text] if new else []
@@ -138,7 +157,7 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
         report or Path("reports") / (name + ("_" + slug if slug else "")), list(overrides),
         content.get("about") or "", content.get("columns") or {}, content.get("labels") or {},
         path.parent / published if published else None,
-        claims, content.get("chart") or {}, content.get("figure") or {},
+        claims, content.get("chart") or {}, content.get("figure") or {}, benchmark,
     )  # fmt: skip
 
 
@@ -162,6 +181,7 @@ def _listed(value: Any) -> list:
 def grid_overrides(spec: Spec) -> list[tuple[list[str], str]]:
     """Every run of the grid, scene by scene: (Hydra overrides, variant)."""
     axes = ["scene", *(k for k in spec.grid if k not in NAMED), "method", "seed"]
+    axes = [axis for axis in axes if axis in spec.grid]  # a benchmark has no methods
     found = []
     for values in itertools.product(*(spec.grid[axis] for axis in axes)):
         variant: list[str] = []
@@ -257,6 +277,10 @@ def main(name: str, overrides: Sequence[str] = (), dry_run: bool = False) -> int
     Returns 1 where some run failed, else 0. Raises PrtError for a mistake in the YAML or the overrides.
     """
     spec = load_spec(name, overrides)
+    if spec.benchmark:
+        from prt.bench import benchmark
+
+        return benchmark.main(spec, dry_run)
     cells = resolve(spec)
     layout = layout_of(spec, [cell for cell, _ in cells])
     if dry_run:

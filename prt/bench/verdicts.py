@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from prt.bench.claims import SPLITS, Claim, Term
-from prt.bench.results import NOISE_FLOOR, direction_of, image_interval, is_cost, over_seeds
+from prt.bench.results import NOISE_FLOOR, direction_of, image_interval, measured_once, over_seeds
 from prt.metrics.intervals import Interval
 
 VERDICT_COLUMNS = ["claim", "scene", "verdict", "metric", "difference", "lo", "hi", "n", "note"]
@@ -103,7 +103,7 @@ def _judge_scene(claim: Claim, scene: str, evidence: Evidence) -> dict:
 
 @dataclass
 class _Side:
-    values: pd.Series | None  #: by (view, lighting); None for a number or a cost
+    values: pd.Series | None  #: by (view, lighting); None for a number or what is measured once
     mean: Interval
     splits: frozenset[str]
     level: float  #: the lowest mean among its terms, to hold against the noise floor
@@ -125,22 +125,23 @@ def _side(terms: tuple[Term, ...], claim: Claim, scene: str, evidence: Evidence)
 def _figures(term: Term, claim: Claim, scene: str, evidence: Evidence) -> _Side:
     if not term.method:
         return _Side(None, Interval(term.number, term.number, term.number, 1), frozenset(), math.inf)
-    split = "" if is_cost(claim.metric) else term.split or claim.split
-    source = evidence.results if is_cost(claim.metric) else evidence.images
+    split = "" if measured_once(claim.metric) else term.split or claim.split
+    source = evidence.results if measured_once(claim.metric) else evidence.images
     wanted = (
         (source["scene"] == scene) & (source["method"] == term.method) & (source["variant"] == term.variant)
         & (source["metric"] == claim.metric) & (source["component"] == claim.component)
         & (source["split"] == split)
     )  # fmt: skip
-    rows = source[wanted & source["value"].notna()] if is_cost(claim.metric) else source[wanted]
+    rows = source[wanted & source["value"].notna()] if measured_once(claim.metric) else source[wanted]
     if not len(rows):
         name = term.method + (f"[{term.variant}]" if term.variant else "")
         reason = evidence.reasons.get((scene, term.method), f"no {claim.metric} figures")
         raise _Missing(f"{name}: {reason}")
-    if is_cost(claim.metric):
+    if measured_once(claim.metric):
         row = rows.iloc[0]
-        value, hi = float(row["value"]), float(row["hi"])
-        return _Side(None, Interval(value, value, hi if hi == hi else value, 1), frozenset(), math.inf)
+        value, lo, hi = (float(row[name]) for name in ("value", "lo", "hi"))
+        lo, hi = (value if bound != bound else bound for bound in (lo, hi))
+        return _Side(None, Interval(value, lo, hi, 1), frozenset(), math.inf)
     values = over_seeds(rows)
     interval = image_interval(values)
     return _Side(values, interval, frozenset([split]), interval.mean)

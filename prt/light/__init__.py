@@ -1,1 +1,1 @@
-"""What lights it: cubemaps, Haar wavelets, spherical harmonics, environment maps. Knows no scene and no renderer."""
+"""What lights it: cubemaps, Haar wavelets, spherical harmonics, environment maps. Knows no renderer."""

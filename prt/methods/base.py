@@ -34,7 +34,7 @@ class FitLog(Protocol):
         ...
 
     def save(self, step: int, state: dict[str, Any]) -> None:
-        """Keep a resumable training state: a nested dict of tensors, numbers and strings, written atomically."""
+        """Keep a resumable state: a nested dict of tensors, numbers and strings, written atomically."""
         ...
 
     def resume(self) -> tuple[int, dict[str, Any]] | None:

@@ -277,7 +277,9 @@ class NeuralPrt:
 
     def save(self, path: Path) -> None:
         state = {name: value.detach().cpu().contiguous() for name, value in self.net.state_dict().items()}
-        save_file(state, path, metadata={"resolution": str(self.resolution), "bounds": json.dumps(self.bounds)})
+        save_file(
+            state, path, metadata={"resolution": str(self.resolution), "bounds": json.dumps(self.bounds)}
+        )
 
     def load(self, path: Path, task: Any, device: str) -> None:
         """Raises PrtError where the file was written with other sizes."""

@@ -26,7 +26,9 @@ def mu_law_slope(x: Tensor, mu: float = 10.0, epsilon: float = 1.0) -> Tensor:
     return mu / ((mu * x.abs() + epsilon) * math.log(mu + epsilon))
 
 
-def image_loss(prediction: Tensor, target: Tensor, form: str = "mu_law", mu: float = 10.0, epsilon: float = 1.0) -> Tensor:
+def image_loss(
+    prediction: Tensor, target: Tensor, form: str = "mu_law", mu: float = 10.0, epsilon: float = 1.0
+) -> Tensor:
     """Mean squared difference after the mu-law tone map.
 
     ``mu_law`` is the paper's. Its gradient is biased where the target carries Monte Carlo noise, because the
@@ -64,14 +66,19 @@ class PointSampler:
     def __init__(self, shares: dict[str, float], importance: dict[str, Tensor], count: int):
         unknown = set(shares) - set(STRATEGIES)
         if unknown:
-            raise PrtError(f"unknown sampling strategy {sorted(unknown)[0]!r}; choose from {', '.join(STRATEGIES)}")
+            raise PrtError(
+                f"unknown sampling strategy {sorted(unknown)[0]!r}; choose from {', '.join(STRATEGIES)}"
+            )
         positive = {name: share for name, share in shares.items() if share > 0}
         if not positive:
-            raise PrtError("method.strategies gives every strategy a share of 0; give at least one a positive share")
+            raise PrtError(
+                "method.strategies gives every strategy a share of 0; give at least one a positive share"
+            )
         total = sum(positive.values())
         self.counts = {name: round(count * share / total) for name, share in positive.items()}
         self.cumulative = {
-            name: None if name == "uniform" else importance[name].double().clamp(min=0).cumsum(0) for name in positive
+            name: None if name == "uniform" else importance[name].double().clamp(min=0).cumsum(0)
+            for name in positive
         }
         self.size = len(importance["specular"])
 
@@ -83,22 +90,38 @@ class PointSampler:
             if cumulative is None or not cumulative[-1] > 0:
                 parts.append((uniform * self.size).long())
             else:
-                parts.append(torch.searchsorted(cumulative, uniform * cumulative[-1]).clamp(max=self.size - 1))
+                parts.append(
+                    torch.searchsorted(cumulative, uniform * cumulative[-1]).clamp(max=self.size - 1)
+                )
         return torch.cat(parts)
 
 
-def radiance(transport: Transport, points: Int[Tensor, "P"], lightings: Float[Tensor, "L T 3"]) -> Float[Tensor, "L P 3"]:
-    """Radiance of some recorded points under some lightings (a Monte Carlo estimate with the record's noise)."""
+def radiance(
+    transport: Transport, points: Int[Tensor, "P"], lightings: Float[Tensor, "L T 3"]
+) -> Float[Tensor, "L P 3"]:
+    """Radiance of some recorded points under some lightings (with the record's noise)."""
     return transport.rows(points).relight(lightings)
 
 
 class BatchSampler:
     """Points and lightings of a training step with their recorded radiance."""
 
-    def __init__(self, training: Any, lightings: Float[Tensor, "n T 3"], pixels: int, lightings_per_step: int,
-                 strategies: dict[str, float], device: str = "cpu"):
+    def __init__(
+        self,
+        training: Any,
+        lightings: Float[Tensor, "n T 3"],
+        pixels: int,
+        lightings_per_step: int,
+        strategies: dict[str, float],
+        device: str = "cpu",
+    ):
         self.points = PointSampler(strategies, training.importance, pixels)
-        self.training, self.lightings, self.per_step, self.device = training, lightings, lightings_per_step, device
+        self.training, self.lightings, self.per_step, self.device = (
+            training,
+            lightings,
+            lightings_per_step,
+            device,
+        )
 
     def draw(self, generator: torch.Generator) -> Batch:
         points = self.points.draw(generator)

@@ -125,7 +125,9 @@ class WaveletNeural:
                 {"params": [net.wavelet], "lr": rates["wavelet"]},
                 {"params": [net.feature, *net.mlp.parameters()], "lr": rates["mlp"]},
             ],
-            betas=(0.9, 0.99), eps=1e-15, fused=True,
+            betas=(0.9, 0.99),
+            eps=1e-15,
+            fused=True,
         )
         points = PointSampler(settings["strategies"], data.importance, settings["pixels"])
         lightings = task.train_lightings()
@@ -150,17 +152,30 @@ class WaveletNeural:
                 seen = lightings[which]
             target = radiance(data.transport, chosen, seen).to(device)
             space = net.grid(positions[chosen]) if corners is None else net.grid.lookup(corners.rows(chosen))
-            with torch.autocast(torch.device(device).type, torch.bfloat16, enabled=settings["precision"] == "bfloat16"):
+            with torch.autocast(
+                torch.device(device).type, torch.bfloat16, enabled=settings["precision"] == "bfloat16"
+            ):
                 predicted = net.coefficients(space, surface[chosen].to(device), k.to(device)).float()
             image = torch.einsum("pkc,lkc->lpc", predicted, kept.to(device))
             return image_loss(image, target, settings["loss"], settings["mu"], settings["epsilon"])
 
         average = Average(net, settings["average"]) if settings["average"] else None
-        fit_loop(log, "wavelet_neural", settings["steps"], generator, {"net": net}, step, optimiser,
-                 warm_up_then_cosine(), average)
+        fit_loop(
+            log,
+            "wavelet_neural",
+            settings["steps"],
+            generator,
+            {"net": net},
+            step,
+            optimiser,
+            warm_up_then_cosine(),
+            average,
+        )
 
-    def draw_wavelets(self, coefficients: Float[Tensor, "L T 3"], generator: torch.Generator) -> Int[Tensor, "K"]:
-        """The wavelets of a training step: a share of the largest of its lightings, the rest at random (section 5)."""
+    def draw_wavelets(
+        self, coefficients: Float[Tensor, "L T 3"], generator: torch.Generator
+    ) -> Int[Tensor, "K"]:
+        """A step's wavelets: a share of the largest of its lightings, the rest at random (section 5)."""
         count, total = self.training["wavelets"], coefficients.shape[1]
         largest = round(count * self.training["largest_share"])
         strength = coefficients.square().sum(dim=2)
@@ -168,7 +183,7 @@ class WaveletNeural:
             strength = strength * self.sigma.cpu().square()
         ranks = strength.argsort(dim=1, descending=True)[:, :largest]
         mine = largest // len(coefficients) + 1
-        chosen = torch.unique(ranks[:, :mine])[: largest]
+        chosen = torch.unique(ranks[:, :mine])[:largest]
         weights = self.draw_weights.clone() if self.training["draw"] == "transport" else torch.ones(total)
         weights[chosen] = 0
         rest = torch.multinomial(weights, count - len(chosen), generator=generator)
@@ -180,8 +195,10 @@ class WaveletNeural:
     def light(self, lighting: Float[Tensor, "6 R R 3"]) -> WaveletCode:
         """Wavelet transform, selection of K, folding of the first layer (Algorithm 1, lines 2 and 3)."""
         if lighting.shape[1] != self.resolution:
-            raise PrtError(f"the lighting has {lighting.shape[1]} texels a side, the model {self.resolution}; "
-                           f"set task.resolution={self.resolution}")
+            raise PrtError(
+                f"the lighting has {lighting.shape[1]} texels a side, the model {self.resolution}; "
+                f"set task.resolution={self.resolution}"
+            )
         values = haar.forward(lighting.to(self.device)).reshape(-1, 3)
         index = haar.top_k(values, min(self.wavelets, len(values)), self.selection, self.sigma)
         kept = values[index]
@@ -206,7 +223,9 @@ class WaveletNeural:
         gbuffer = gbuffer.to(self.device)
         for start in range(0, len(gbuffer), self.chunk):
             rows = slice(start, start + self.chunk)
-            parts.append(render(gbuffer.position[rows], self.net.features(gbuffer.rows(rows)), code).float().cpu())
+            parts.append(
+                render(gbuffer.position[rows], self.net.features(gbuffer.rows(rows)), code).float().cpu()
+            )
         return torch.cat(parts)
 
     def shade_readable(self, position: Tensor, features: Tensor, code: WaveletCode) -> Float[Tensor, "N 3"]:
@@ -242,7 +261,11 @@ class WaveletNeural:
 
     def save(self, path: Path) -> None:
         state = {name: value.detach().cpu().contiguous() for name, value in self.net.state_dict().items()}
-        save_file({**state, "sigma": self.sigma.cpu().clone()}, path, metadata={"resolution": str(self.resolution), "bounds": json.dumps(self.bounds)})
+        save_file(
+            {**state, "sigma": self.sigma.cpu().clone()},
+            path,
+            metadata={"resolution": str(self.resolution), "bounds": json.dumps(self.bounds)},
+        )
 
     def load(self, path: Path, task: Any, device: str) -> None:
         with safe_open(path, "pt") as file:

@@ -12,8 +12,6 @@ that read h), the pre-activation of pixel p and wavelet k is S_p diag(W_k) V + g
 computed once per light and g_p, the part of the inputs that knows no wavelet, once per pixel.
 """
 
-from collections.abc import Callable
-
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
@@ -23,9 +21,10 @@ from prt.nn.hashgrid import HashGrid
 from prt.nn.mlp import Mlp
 
 
-def surface_features(wr: Tensor, normal: Tensor, diffuse: Tensor, specular: Tensor, roughness: Tensor,
-                     degree: int) -> Float[Tensor, "N F"]:
-    """The inputs of f besides h_k: SH of wr, normal, k_d, k_s, log-mapped roughness (Raghavan 2023, section 5)."""
+def surface_features(
+    wr: Tensor, normal: Tensor, diffuse: Tensor, specular: Tensor, roughness: Tensor, degree: int
+) -> Float[Tensor, "N F"]:
+    """The inputs of f besides h_k: SH of wr, normal, k_d, k_s, log-mapped roughness (section 5)."""
     return torch.cat([sh_encode(wr, degree), normal, diffuse, specular, log_roughness(roughness)], dim=1)
 
 
@@ -50,7 +49,9 @@ class WaveletTransport(nn.Module):
         self.feature = nn.Parameter(torch.eye(terms) + torch.randn(terms, terms) / terms**0.5 * 0.1)
         inputs = terms + (degree + 1) ** 2 + 10
         self.mlp = Mlp(inputs, width, 2, 3)
-        with torch.no_grad():  # no transport at first: random coefficients of 64 wavelets would add up to noise
+        with (
+            torch.no_grad()
+        ):  # no transport at first: random coefficients of 64 wavelets would add up to noise
             self.mlp.layers[2].weight.mul_(0.1)
         self.register_buffer("scale", torch.ones(wavelets) if scale is None else scale)
 
@@ -60,8 +61,9 @@ class WaveletTransport(nn.Module):
 
     def features(self, gbuffer) -> Float[Tensor, "N F"]:
         """:func:`surface_features` of a G-buffer."""
-        return surface_features(gbuffer.wr, gbuffer.normal, gbuffer.diffuse, gbuffer.specular, gbuffer.roughness,
-                                self.degree)
+        return surface_features(
+            gbuffer.wr, gbuffer.normal, gbuffer.diffuse, gbuffer.specular, gbuffer.roughness, self.degree
+        )
 
     def coefficients_readable(
         self, position: Float[Tensor, "N 3"], features: Float[Tensor, "N F"], k: Int[Tensor, "K"]

@@ -11,7 +11,7 @@ from prt.scene.view import View
 
 @dataclasses.dataclass
 class GBuffer:
-    """Surface attributes of N visible pixels; directions are unit, world space, pointing away from the surface.
+    """Surface attributes of N visible pixels; directions are unit, world space, away from the surface.
 
     Attributes:
         position: first hit, world units.

@@ -28,16 +28,24 @@ def find_llvm() -> Path | None:
     chosen = os.environ.get("DRJIT_LIBLLVM_PATH", "").strip()
     if chosen:
         return Path(chosen)
-    folders = [Path(sys.prefix) / "lib", Path("/usr/lib/x86_64-linux-gnu"), Path("/usr/lib/aarch64-linux-gnu")]
+    folders = [
+        Path(sys.prefix) / "lib",
+        Path("/usr/lib/x86_64-linux-gnu"),
+        Path("/usr/lib/aarch64-linux-gnu"),
+    ]
     folders += sorted(Path("/usr/lib").glob("llvm-*/lib"), reverse=True)
-    found = [(llvm_version(path), -rank, path) for rank, folder in enumerate(folders)
-             for path in folder.glob("libLLVM*.so*") if llvm_version(path) is not None]
+    found = [
+        (llvm_version(path), -rank, path)
+        for rank, folder in enumerate(folders)
+        for path in folder.glob("libLLVM*.so*")
+        if llvm_version(path) is not None
+    ]
     usable = [entry for entry in found if entry[0] >= OLDEST_LLVM]
     return max(usable)[2] if usable else None
 
 
 def llvm_version(path: Path) -> int | None:
-    """Major version from a libLLVM file name (``libLLVM.so.23.1``, ``libLLVM-19.so.1``), None if it has none."""
+    """Major version in a libLLVM file name (``libLLVM.so.23.1``, ``libLLVM-19.so.1``), or None."""
     match = re.fullmatch(r"libLLVM(?:-(\d+)[\d.]*\.so[\d.]*|\.so\.(\d+)[\d.]*)", path.name)
     return int(match.group(1) or match.group(2)) if match else None
 
@@ -73,7 +81,9 @@ def mitsuba() -> ModuleType:
         try:
             ctypes.CDLL(str(library))
         except OSError as error:
-            raise PrtError(f"cannot load {library}: {error}; set DRJIT_LIBLLVM_PATH to another libLLVM") from error
+            raise PrtError(
+                f"cannot load {library}: {error}; set DRJIT_LIBLLVM_PATH to another libLLVM"
+            ) from error
         os.environ["DRJIT_LIBLLVM_PATH"] = str(library)
     elif variant == "scalar_rgb":
         warnings.warn(

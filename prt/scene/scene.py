@@ -36,11 +36,15 @@ class Scene:
         if record not in ("bsdf", "nee"):
             raise PrtError(f"scene.record={record!r} is not one of bsdf, nee")
         if not isinstance(max_depth, int) or max_depth < 2:
-            raise PrtError(f"scene.max_depth={max_depth!r} must be an integer of at least 2 (indirect light has two bounces)")
+            raise PrtError(
+                f"scene.max_depth={max_depth!r} must be an integer of at least 2 (indirect light)"
+            )
         self.name, self.max_depth, self.record = name, max_depth, record
         missing = [split for split in ("train", "far") if not (cameras and cameras.get(split))]
         if missing:
-            raise PrtError(f"scene.cameras has no trajectory for {', '.join(missing)}; list at least one under each")
+            raise PrtError(
+                f"scene.cameras has no trajectory for {', '.join(missing)}; list at least one under each"
+            )
         # Hydra hands over its own containers: keep plain ones
         self.cameras = {str(split): list(paths) for split, paths in cameras.items()}
 

@@ -13,7 +13,9 @@ def specular(gbuffer: GBuffer) -> Float[Tensor, "N"]:
     return gbuffer.specular.mean(dim=1) * (1 - gbuffer.roughness[:, 0])
 
 
-def high_frequency(image: Float[Tensor, "H W 3"], hit: Bool[Tensor, "P"], radius: int = 2) -> Float[Tensor, "N"]:
+def high_frequency(
+    image: Float[Tensor, "H W 3"], hit: Bool[Tensor, "P"], radius: int = 2
+) -> Float[Tensor, "N"]:
     """|I - lowpass(I)| at the hit pixels; the low-pass is a box over the hit pixels around each."""
     mask = hit.view(1, 1, *image.shape[:2]).float()
     mean = image.mean(dim=2)[None, None] * mask

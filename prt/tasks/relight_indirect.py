@@ -1,4 +1,4 @@
-"""Task ``relight_indirect``: a static scene, any view, any environment; the method predicts indirect radiance."""
+"""Task ``relight_indirect``: static scene, any view, any environment; predicted is indirect radiance."""
 
 import dataclasses
 import functools
@@ -47,7 +47,7 @@ class Training:
 
     @property
     def bounds(self) -> tuple[list[float], list[float]]:
-        """Corners of the box of all training points: what is seen, where the scene's own box may be mostly ground."""
+        """Corners of the box of all training points: what is seen of the scene, not all of its ground."""
         return self.gbuffer.position.amin(dim=0).tolist(), self.gbuffer.position.amax(dim=0).tolist()
 
 
@@ -57,9 +57,9 @@ class TestItem:
 
     Attributes:
         references: component to (H, W, 3) linear radiance, no background.
-        noise_floor: component to the PSNR in dB that the reference has against the truth, estimated from its two
-            independent halves; what the denoiser changes in both alike is not seen by it.
-        direct: direct light rendered with another seed, added to an indirect prediction to give the full image.
+        noise_floor: component to the PSNR in dB that the reference has against the truth, estimated from its
+            two independent halves; what the denoiser changes in both alike is not seen by it.
+        direct: direct light of another seed, added to an indirect prediction to give the full image.
     """
 
     split: str
@@ -91,15 +91,37 @@ class RelightIndirect:
     components = ("full", "indirect")
 
     def __init__(
-        self, scene: Scene, lighting: Any, name: str, resolution: int, train_views: int, train_size: int, train_spp: int,
-        near_views: int, far_views: int, test_size: int, lightings_per_view: int, reference_spp: int,
-        reference_denoise: bool, direct_spp: int, split_spp: int, seed: int = 0,
+        self,
+        scene: Scene,
+        lighting: Any,
+        name: str,
+        resolution: int,
+        train_views: int,
+        train_size: int,
+        train_spp: int,
+        near_views: int,
+        far_views: int,
+        test_size: int,
+        lightings_per_view: int,
+        reference_spp: int,
+        reference_denoise: bool,
+        direct_spp: int,
+        split_spp: int,
+        seed: int = 0,
     ):
         if resolution < 2 or resolution & (resolution - 1):
-            raise PrtError(f"task.resolution={resolution} must be a power of two (Haar wavelets on cubemap faces)")
-        for setting, value in dict(train_views=train_views, train_size=train_size, train_spp=train_spp,
-                                   test_size=test_size, lightings_per_view=lightings_per_view,
-                                   reference_spp=reference_spp, direct_spp=direct_spp).items():
+            raise PrtError(
+                f"task.resolution={resolution} must be a power of two (Haar wavelets on cubemap faces)"
+            )
+        for setting, value in dict(
+            train_views=train_views,
+            train_size=train_size,
+            train_spp=train_spp,
+            test_size=test_size,
+            lightings_per_view=lightings_per_view,
+            reference_spp=reference_spp,
+            direct_spp=direct_spp,
+        ).items():
             if value < 1:
                 raise PrtError(f"task.{setting}={value} must be at least 1")
         self.scene, self.lighting, self.resolution = scene, lighting, resolution
@@ -131,17 +153,27 @@ class RelightIndirect:
     def _training(self) -> Training:
         views = self.scene.views("train", self.train_view_count, self.train_size)
         label = f"record transport, {self.scene.name}"
-        parts = [self.recorded(view, self.train_spp, self.seed + 1 + i)
-                 for i, view in enumerate(track(views, label, len(views)))]
+        parts = [
+            self.recorded(view, self.train_spp, self.seed + 1 + i)
+            for i, view in enumerate(track(views, label, len(views)))
+        ]
         gbuffers = [gbuffer for gbuffer, _ in parts]
-        transports = [whole.component("indirect").rows(gbuffer.hit.nonzero()[:, 0]) for gbuffer, whole in parts]
-        point_view = torch.repeat_interleave(torch.arange(len(views)), torch.tensor([len(g) for g in gbuffers]))
+        transports = [
+            whole.component("indirect").rows(gbuffer.hit.nonzero()[:, 0]) for gbuffer, whole in parts
+        ]
+        point_view = torch.repeat_interleave(
+            torch.arange(len(views)), torch.tensor([len(g) for g in gbuffers])
+        )
         gbuffer, transport = GBuffer.concatenate(gbuffers), Transport.concatenate(transports)
         if len(gbuffer) == 0:
-            raise PrtError(f"no training view of scene {self.scene.name!r} sees the scene; check scene.cameras")
+            raise PrtError(
+                f"no training view of scene {self.scene.name!r} sees the scene; check scene.cameras"
+            )
         lit = transport.relight(self.prior()[None])[0]
-        edges = [importance.high_frequency(g.image(part), g.hit)
-                 for g, part in zip(gbuffers, lit.split([len(g) for g in gbuffers]), strict=True)]
+        edges = [
+            importance.high_frequency(g.image(part), g.hit)
+            for g, part in zip(gbuffers, lit.split([len(g) for g in gbuffers]), strict=True)
+        ]
         weights = {
             "specular": importance.specular(gbuffer),
             "high_frequency": torch.cat(edges),
@@ -153,18 +185,26 @@ class RelightIndirect:
         """G-buffer and transport of every pixel of a view, from the cache where it is there."""
         needs_prior = self.scene.record == "nee"
         settings = {
-            "scene": self.scene.fingerprint(), "view": dataclasses.asdict(view), "spp": spp, "seed": seed,
-            "max_depth": self.scene.max_depth, "resolution": self.resolution,
+            "scene": self.scene.fingerprint(),
+            "view": dataclasses.asdict(view),
+            "spp": spp,
+            "seed": seed,
+            "max_depth": self.scene.max_depth,
+            "resolution": self.resolution,
             "prior": self.lighting.fingerprint() if needs_prior else None,
         }
 
         def build() -> dict[str, Tensor]:
             gbuffer = capture(self.mitsuba_scene, view)
             prior = self.prior().view(6, self.resolution, self.resolution, 3) if needs_prior else None
-            transport = record(self.mitsuba_scene, view, spp, self.scene.max_depth, self.resolution, seed, prior=prior)
+            transport = record(
+                self.mitsuba_scene, view, spp, self.scene.max_depth, self.resolution, seed, prior=prior
+            )
             tensors = {f"gbuffer.{name}": getattr(gbuffer, name) for name in (*GBuffer.FIELDS, "hit")}
-            return tensors | {f"transport.{name}": getattr(transport, name)
-                              for name in ("offsets", "texel", "weight", "bounces")}
+            return tensors | {
+                f"transport.{name}": getattr(transport, name)
+                for name in ("offsets", "texel", "weight", "bounces")
+            }
 
         found = cached("transport", TRANSPORT_VERSION, settings, build)
         gbuffer = GBuffer(**{name: found[f"gbuffer.{name}"] for name in (*GBuffer.FIELDS, "hit")}, view=view)
@@ -178,7 +218,7 @@ class RelightIndirect:
     # ---- test data
 
     def tests(self) -> list[TestItem]:
-        """Test views and lightings with references; rendered on first use, then cached on disk item by item."""
+        """Test views and lightings with references; rendered on first use, cached on disk item by item."""
         return self._tests
 
     @functools.cached_property
@@ -191,30 +231,50 @@ class RelightIndirect:
                 for j in range(self.lightings_per_view):
                     pairs.append((split, i, view, (i * self.lightings_per_view + j) % len(names)))
         label = f"references, {self.scene.name}"
-        return [self.test_item(split, f"{split}{i:02d}", view, names[which], lightings[which])
-                for split, i, view, which in track(pairs, label, len(pairs))]
+        return [
+            self.test_item(split, f"{split}{i:02d}", view, names[which], lightings[which])
+            for split, i, view, which in track(pairs, label, len(pairs))
+        ]
 
-    def test_item(self, split: str, view_name: str, view: View, lighting_name: str, lighting: Tensor) -> TestItem:
+    def test_item(
+        self, split: str, view_name: str, view: View, lighting_name: str, lighting: Tensor
+    ) -> TestItem:
         settings = {
-            "scene": self.scene.fingerprint(), "view": dataclasses.asdict(view), "max_depth": self.scene.max_depth,
-            "lighting": hashlib.sha256(lighting.numpy().tobytes()).hexdigest(), "spp": self.reference_spp,
-            "denoise": self.reference_denoise, "direct_spp": self.direct_spp, "seed": self.seed,
+            "scene": self.scene.fingerprint(),
+            "view": dataclasses.asdict(view),
+            "max_depth": self.scene.max_depth,
+            "lighting": hashlib.sha256(lighting.numpy().tobytes()).hexdigest(),
+            "spp": self.reference_spp,
+            "denoise": self.reference_denoise,
+            "direct_spp": self.direct_spp,
+            "seed": self.seed,
         }
-        found = cached("reference", REFERENCE_VERSION, settings, lambda: self.render_references(view, lighting))
+        found = cached(
+            "reference", REFERENCE_VERSION, settings, lambda: self.render_references(view, lighting)
+        )
         gbuffer = GBuffer(**{name: found[f"gbuffer.{name}"] for name in (*GBuffer.FIELDS, "hit")}, view=view)
-        references = {name: (found[f"{name}.0"] + found[f"{name}.1"]) / 2 for name in ("full", "indirect", "direct")}
-        floor = {name: noise_floor(found[f"{name}.0"], found[f"{name}.1"], psnr) for name in references}
-        return TestItem(split, view_name, lighting_name, lighting, gbuffer, references, floor, found["direct.other"])
+        references = {
+            name: (found[f"{name}.0"] + found[f"{name}.1"]) / 2 for name in ("full", "indirect", "direct")
+        }
+        # capped as PSNR itself: two black halves are equal, and infinity has no mean
+        floor = {name: min(noise_floor(found[f"{name}.0"], found[f"{name}.1"], psnr), PSNR_CAP) for name in references}
+        return TestItem(
+            split, view_name, lighting_name, lighting, gbuffer, references, floor, found["direct.other"]
+        )
 
     def render_references(self, view: View, lighting: Tensor) -> dict[str, Tensor]:
         """Two independent halves of the reference, and the direct light with a third seed."""
         gbuffer = capture(self.mitsuba_scene, view)
-        guides = {"albedo": gbuffer.image(gbuffer.diffuse + gbuffer.specular).clamp(0, 1),
-                  "normal": gbuffer.image(gbuffer.normal)}
+        guides = {
+            "albedo": gbuffer.image(gbuffer.diffuse + gbuffer.specular).clamp(0, 1),
+            "normal": gbuffer.image(gbuffer.normal),
+        }
         found = {f"gbuffer.{name}": getattr(gbuffer, name) for name in (*GBuffer.FIELDS, "hit")}
         for half in (0, 1):
             seed = 1000 + 2 * self.seed + half
-            images = render(self.scene, view, lighting, max(self.reference_spp // 2, 1), self.scene.max_depth, seed)
+            images = render(
+                self.scene, view, lighting, max(self.reference_spp // 2, 1), self.scene.max_depth, seed
+            )
             for name, image in images.items():
                 found[f"{name}.{half}"] = denoise(image, **guides) if self.reference_denoise else image
         direct = render(self.scene, view, lighting, self.direct_spp, 1, 5000 + self.seed)["direct"]

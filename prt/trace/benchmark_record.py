@@ -1,12 +1,14 @@
 """What recording transport costs against rendering: paths per second, cost of a training set, variance.
 
+``prt table performance/record`` runs it, once per scene.
+
 All of it is measured in one run on one machine, record and renderer in turn, so that another load on the
 machine meets both. The renderer is Mitsuba's ``path`` with emitter sampling on the same scene, view, number
 of paths, depth and variant.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from prt.errors import PrtError
+from prt.light.environments import EnvironmentSet
+from prt.metrics.timing import device_name
 from prt.progress import Bar
 from prt.scene.capture import sensor_description
 from prt.scene.mitsuba_setup import mitsuba
@@ -24,19 +28,20 @@ from prt.trace.cubemap_emitter import set_lighting
 from prt.trace.record import record
 from prt.trace.reference import ReferenceRenderer
 
-WARM_UP = 2
+WARM_UP = 3
+COST_REPETITIONS = 3
 RESAMPLES = 1000
 MODES = ("bsdf", "nee")
 
 
 def benchmark(
     scene: Scene,
-    train: Float[Tensor, "n 6 R R 3"],
-    maps: dict[str, Float[Tensor, "6 R R 3"]],
+    lighting: EnvironmentSet,
+    maps: Sequence[str] = ("indoor", "outdoor"),
     size: int = 64,
-    spp: int = 256,
+    spp: int = 64,
     lights: int = 64,
-    repetitions: int = 11,
+    repetitions: int = 30,
     variance_spp: int = 64,
     variance_seeds: int = 16,
     view: View | None = None,
@@ -45,44 +50,58 @@ def benchmark(
 
     Args:
         scene: what is recorded; its ``max_depth`` is used.
-        train: training environments: their mean is the prior of next-event samples, and they are what the
-            training set of ``lights`` images is lit by (repeated in turn where there are fewer).
-        maps: named lightings for the variance, as ``indoor`` and ``outdoor``.
+        lighting: its training environments light the training set of ``lights`` images (in turn where there
+            are fewer), and their mean is the prior of next-event samples; variance is taken under its tests.
+        maps: what its first test environments are called in the results.
         size: images of ``size`` x ``size`` pixels; ``view`` or the scene's first far view.
-        repetitions: of each timing, after warming up.
+        spp: paths per pixel of everything that is timed.
+        repetitions: of each timing of one record and one image, after warming up.
         variance_spp, variance_seeds: samples per pixel and independent images a variance is estimated from.
 
     Returns:
-        Rows with ``scene, variant, component, metric, value, lo, hi, n``; variants name the mode of the
-        recorder (and the map). Metrics:
+        Rows with ``method`` (``record``), ``device``, ``variant`` (the recorder's mode, and the map),
+        ``component, metric, value, lo, hi, n``. Metrics, of which more is better for the recorder:
         ``ratio/paths``: paths per second of ``record``, rows brought into order, over those of ``mi.render``;
-        median and 5th to 95th percentile over pairs of calls.
+        median over pairs of calls, 95 % bootstrap interval.
         ``ratio/cost``: seconds to set and render ``lights`` lightings one by one over seconds to record once
-        and relight as many, at equal paths; median, smallest and largest.
-        ``ratio/variance``: variance of a relit image's pixels over that of a rendered one's at equal paths,
-        mean over the image; 95 % bootstrap interval over seeds. Below 1 the record is the better one.
+        and relight as many, at equal paths; median, smallest and largest of three.
+        ``ratio/variance``: variance of a rendered image's pixels over that of a relit one's at equal paths,
+        both means over the image; 95 % bootstrap interval over seeds.
         ``paths/record``, ``paths/render``: paths per second.
 
     Raises:
-        PrtError: if a number is below what the measure needs.
+        PrtError: if a number is below what the measure needs, or the lighting has fewer tests than ``maps``.
     """
+    import drjit as dr
+
     least = {"size": 1, "spp": 1, "lights": 1, "repetitions": 3, "variance_spp": 1, "variance_seeds": 3}
     given = (size, spp, lights, repetitions, variance_spp, variance_seeds)
     for (name, lowest), value in zip(least.items(), given, strict=True):
         if value < lowest:
             raise PrtError(f"record benchmark {name}={value} must be at least {lowest}")
     view = (view or scene.views("far", 1, size)[0]).resized(size, size)
+    (_, train), (names, tests) = lighting.train(), lighting.test()
+    if len(names) < len(maps):
+        raise PrtError(
+            f"record benchmark maps={list(maps)}, but the lighting has {len(names)} test environments; "
+            "raise lighting.test_count (hdri) or lighting.test_rooms and test_skies (procedural)"
+        )
     setup = Setup(scene, view, train, lights)
-    steps = len(MODES) * (repetitions + WARM_UP + 3) + len(maps) * variance_seeds
+    mi = mitsuba()
+    cuda = mi.variant().startswith("cuda")
+    device = device_name("cuda") if cuda else f"{device_name()}, {dr.thread_count()} threads"
+    common = {"method": "record", "device": device}
+    steps = len(MODES) * (repetitions + WARM_UP) + COST_REPETITIONS + len(maps) * variance_seeds
     rows: list[dict[str, Any]] = []
     with Bar(f"record benchmark, {scene.name}", steps) as bar:
         for mode in MODES:
-            for row in (*setup.speed(mode, spp, repetitions, bar), setup.cost(mode, spp, bar)):
-                rows.append({"scene": scene.name, "variant": f"mode={mode}", "component": "full", **row})
-        for name, lighting in maps.items():
-            for mode, part, row in setup.variance(lighting, variance_spp, variance_seeds, bar):
-                variant = f"mode={mode} map={name}"
-                rows.append({"scene": scene.name, "variant": variant, "component": part, **row})
+            for row in setup.speed(mode, spp, repetitions, bar):
+                rows.append({**common, "variant": f"mode={mode}", "component": "full", **row})
+        for mode, row in setup.cost(spp, bar):
+            rows.append({**common, "variant": f"mode={mode}", "component": "full", **row})
+        for name, cubemap in zip(maps, tests, strict=False):
+            for mode, part, row in setup.variance(cubemap, variance_spp, variance_seeds, bar):
+                rows.append({**common, "variant": f"mode={mode},map={name}", "component": part, **row})
     return rows
 
 
@@ -123,15 +142,15 @@ class Setup:
             bar.advance()
         recorded, rendered = np.array(seconds[WARM_UP:]).T
         paths = self.view.width * self.view.height * spp
-        yield percentiles("ratio/paths", rendered / recorded)
-        yield percentiles("paths/record", paths / recorded)
-        yield percentiles("paths/render", paths / rendered)
+        yield median("ratio/paths", rendered / recorded)
+        yield median("paths/record", paths / recorded)
+        yield median("paths/render", paths / rendered)
 
-    def cost(self, mode: str, spp: int, bar: Bar) -> dict[str, Any]:
-        """Images of all lightings: one record relit, against one rendering each."""
+    def cost(self, spp: int, bar: Bar) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Images of all lightings: one record relit, in each mode, against one rendering each."""
         flat = self.lightings.reshape(len(self.lightings), -1, 3)
 
-        def relit(seed: int) -> None:
+        def relit(mode: str, seed: int) -> None:
             self.record(mode, spp, seed).component("full").relight(flat)
 
         def rendered(seed: int) -> None:
@@ -139,18 +158,25 @@ class Setup:
                 set_lighting(self.renderer.mi_scene, lighting)
                 self.render(spp, seed + number)
 
-        relit(0)
-        ratios = []
-        for number in range(3):
-            once = float(np.median([timed(lambda n=number: relit(n)) for _ in range(3)]))
-            ratios.append(timed(lambda n=number: rendered(n)) / once)
+        ratios: dict[str, list[float]] = {mode: [] for mode in MODES}
+        for mode in MODES:
+            relit(mode, 0)
+        for number in range(COST_REPETITIONS):
+            once = {
+                mode: float(np.median([timed(lambda m=mode, n=number: relit(m, n)) for _ in range(3)]))
+                for mode in MODES
+            }
+            images = timed(lambda n=number: rendered(n))
+            for mode in MODES:
+                ratios[mode].append(images / once[mode])
             bar.advance()
-        return row("ratio/cost", float(np.median(ratios)), min(ratios), max(ratios), len(ratios))
+        for mode, found in ratios.items():
+            yield mode, row("ratio/cost", float(np.median(found)), min(found), max(found), len(found))
 
     def variance(
         self, lighting: Tensor, spp: int, seeds: int, bar: Bar
     ) -> Iterator[tuple[str, str, dict[str, Any]]]:
-        """Variance of relit images over that of rendered ones, per mode and component."""
+        """Variance of rendered images over that of relit ones, per mode and component."""
         set_lighting(self.renderer.mi_scene, lighting)
         flat = lighting.reshape(1, -1, 3)
         images: dict[tuple[str, str], list[np.ndarray]] = {}
@@ -170,7 +196,7 @@ class Setup:
         spread = {key: deviations(np.stack(stack)) for key, stack in images.items()}
         for mode in MODES:
             for part in ("full", "indirect"):
-                yield mode, part, ratio_of_means(spread[mode, part], spread["render", part])
+                yield mode, part, ratio_of_means(spread["render", part], spread[mode, part])
 
 
 def timed(function: Callable[[], object]) -> float:
@@ -194,9 +220,12 @@ def ratio_of_means(a: np.ndarray, b: np.ndarray) -> dict[str, Any]:
     return row("ratio/variance", float(a.mean() / b.mean()), float(lo), float(hi), len(a))
 
 
-def percentiles(metric: str, values: np.ndarray) -> dict[str, Any]:
-    lo, middle, hi = np.percentile(values, [5, 50, 95])
-    return row(metric, float(middle), float(lo), float(hi), len(values))
+def median(metric: str, values: np.ndarray) -> dict[str, Any]:
+    """The median with its 95 % bootstrap interval."""
+    random = np.random.default_rng(0)
+    draws = [np.median(random.choice(values, len(values))) for _ in range(RESAMPLES)]
+    lo, hi = np.percentile(draws, [2.5, 97.5])
+    return row(metric, float(np.median(values)), float(lo), float(hi), len(values))
 
 
 def row(metric: str, value: float, lo: float, hi: float, n: int) -> dict[str, Any]:

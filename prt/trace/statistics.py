@@ -35,7 +35,7 @@ def wavelet_scale(transport: Transport, gbuffer: GBuffer, cells: int = 12) -> Fl
 
 
 def clusters(gbuffer: GBuffer, cells: int) -> Int[Tensor, "N"]:
-    """Number of the cluster of every point: the cell it lies in and the cubemap face its wr points through."""
+    """The cluster of every point: the cell it lies in and the cubemap face its wr points through."""
     low, high = gbuffer.position.min(dim=0).values, gbuffer.position.max(dim=0).values
     cell = ((gbuffer.position - low) / (high - low).max().clamp(min=1e-9) * (cells - 1e-3)).long()
     axis = gbuffer.wr.abs().argmax(dim=1)

@@ -6,22 +6,33 @@ from trace_scenes import CORNER_VIEW, glossy_corner, lightings
 from prt.errors import PrtError
 from prt.trace.benchmark_record import benchmark, deviations, ratio_of_means
 
+class Lights:
+    """An environment set of three training lightings and two tests."""
+
+    resolution = 2
+
+    def train(self):
+        return list("abc"), torch.stack(list(lightings(2).values()))
+
+    def test(self):
+        return ["d", "e"], self.train()[1][:2]
+
+
 SMALL = {"size": 8, "spp": 4, "lights": 2, "repetitions": 3, "variance_spp": 4, "variance_seeds": 3}
 
 
 def test_every_measure_of_every_mode_and_map():
-    train = torch.stack(list(lightings(2).values()))
-    rows = benchmark(
-        glossy_corner(), train, {"indoor": train[0], "outdoor": train[1]}, view=CORNER_VIEW, **SMALL
-    )
+    rows = benchmark(glossy_corner(), Lights(), view=CORNER_VIEW, **SMALL)
     found = {(row["variant"], row["component"], row["metric"]) for row in rows}
     for mode in ("bsdf", "nee"):
         assert {(f"mode={mode}", "full", f"ratio/{name}") for name in ("paths", "cost")} <= found
         for name in ("indoor", "outdoor"):
             for part in ("full", "indirect"):
-                assert (f"mode={mode} map={name}", part, "ratio/variance") in found
+                assert (f"mode={mode},map={name}", part, "ratio/variance") in found
     for row in rows:
-        assert set(row) == {"scene", "variant", "component", "metric", "value", "lo", "hi", "n"}
+        assert set(row) == {
+            "method", "device", "variant", "component", "metric", "value", "lo", "hi", "n"
+        }  # fmt: skip
         assert 0 < row["lo"] <= row["hi"] < float("inf") and row["n"] >= 3
 
 
@@ -34,6 +45,10 @@ def test_variance_ratio_finds_a_known_one():
 
 
 def test_too_few_repetitions():
-    train = torch.ones((1, 6, 2, 2, 3))
     with pytest.raises(PrtError, match="variance_seeds=1"):
-        benchmark(glossy_corner(), train, {}, **{**SMALL, "variance_seeds": 1})
+        benchmark(glossy_corner(), Lights(), **{**SMALL, "variance_seeds": 1})
+
+
+def test_too_few_test_lightings():
+    with pytest.raises(PrtError, match="has 2 test environments; raise lighting.test_count"):
+        benchmark(glossy_corner(), Lights(), maps=["a", "b", "c"], view=CORNER_VIEW, **SMALL)

@@ -1,0 +1,137 @@
+"""Tables that measure a piece of the machinery itself, not methods: ``prt table performance/record``.
+
+The YAML names a function instead of methods; the rest of it means what it means in every table::
+
+    benchmark: {_target_: package.module.function, size: 64}
+    grid: {scene: [cornell_glossy]}
+    common: [lighting=hdri]
+    without_data: {common: [lighting=procedural]}      # where PRT_DATA is not set
+    claims: ["record > 0.7 on ratio/paths/full, every scene"]
+
+The function is called once per scene, as ``function(scene=..., lighting=..., **settings)``, and returns rows
+with ``method, device, variant, component, metric, value, lo, hi, n``. It is measured anew by every call of the
+command: times compare only within one run on one machine.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+
+from prt.bench import compose as composer
+from prt.bench import layout, provenance
+from prt.bench.build import build
+from prt.bench.layout import Entry, Sheet
+from prt.bench.report import claims_text, show
+from prt.bench.results import COLUMNS, IMAGE_COLUMNS, join_variant, read_results, write_results
+from prt.bench.table import check_writable, grid_overrides, say
+from prt.bench.verdicts import Evidence, judge
+from prt.cache import write_atomically
+from prt.errors import PrtError
+
+if TYPE_CHECKING:
+    from prt.bench.table import Spec
+
+
+def main(spec: "Spec", dry_run: bool = False, console: Console | None = None) -> int:
+    """Measure on every scene of the grid, write the report, print the table.
+
+    Returns 1 where a scene failed, else 0.
+
+    Raises:
+        PrtError: for a mistake in the settings, or if no scene could be measured.
+    """
+    places = [(composer.compose(words), words, variant) for words, variant in grid_overrides(spec)]
+    if dry_run:
+        print(f"{spec.title}: {len(places)} measurements, report in {spec.report}")
+        for cfg, words, _ in places:
+            print(f"  {cfg.choice.scene}  {' '.join(words)}")
+        return 0
+    check_writable(spec.report)
+    rows: list[dict[str, Any]] = []
+    failed: dict[str, str] = {}
+    for number, (cfg, _, variant) in enumerate(places):
+        say(f"[{number + 1}/{len(places)}] measure on {cfg.choice.scene} {variant}".rstrip())
+        try:
+            rows += measure(spec, cfg, variant)
+        except PrtError as error:
+            if len(places) == 1:
+                raise
+            failed[cfg.choice.scene] = str(error)
+            say(f"    failed: {error}")
+    if not rows:
+        raise PrtError("; ".join(f"{scene}: {reason}" for scene, reason in failed.items()))
+    write_report(spec, places[0][0], pd.DataFrame(rows, columns=COLUMNS), failed, console or Console())
+    return 1 if failed else 0
+
+
+def measure(spec: "Spec", cfg: DictConfig, variant: str) -> list[dict[str, Any]]:
+    """The benchmark's rows on one scene, completed to rows of ``results.csv``."""
+    named = OmegaConf.create({"benchmark": spec.benchmark, "choice": {"benchmark": spec.name}})
+    rows = build(named, "benchmark", scene=build(cfg, "scene"), lighting=build(cfg, "lighting"))
+    place = {"scene": cfg.choice.scene, "budget": str(cfg.budget.name), "split": "", "seeds": 1}
+    return [{**place, **row, "variant": join_variant(row["variant"], variant)} for row in rows]
+
+
+def write_report(
+    spec: "Spec", cfg: DictConfig, rows: pd.DataFrame, failed: dict[str, str], console: Console
+) -> None:
+    """Write ``results.csv`` and from it ``table.md``, ``table.tex``, ``claims.csv`` and ``report.md``."""
+    folder = spec.report
+    write_results(rows, folder / "results.csv")
+    results = read_results(folder / "results.csv")
+    table = sheet(spec, results)
+    markdown = layout.to_markdown(table)
+    write_atomically(folder / "table.md", f"# {spec.title}\n\n{markdown}".encode())
+    write_atomically(folder / "table.tex", layout.to_latex(table).encode())
+    scenes = list(dict.fromkeys([*results["scene"], *failed]))
+    no_images = pd.DataFrame(columns=IMAGE_COLUMNS)
+    verdicts = judge(spec.claims, Evidence(no_images, results, scenes))
+    text = verdicts.to_csv(index=False, float_format="%.6g", lineterminator="\n")
+    write_atomically(folder / "claims.csv", text.encode())
+    parts = [f"# {spec.title}", spec.about.strip()]
+    parts.append(f"Regenerate with `{spec.command}`. Every number comes from [results.csv](results.csv).")
+    parts += [markdown.strip(), "More forms: [table.md](table.md), [table.tex](table.tex)."]
+    if len(verdicts):
+        parts += ["## Claims", claims_text(verdicts)]
+    parts += ["## How it was measured", how(spec, cfg, results)]
+    lines = [f"- {scene}: {reason}" for scene, reason in failed.items()]
+    parts += ["## What is missing", "\n".join(lines) or "Nothing."]
+    write_atomically(folder / "report.md", ("\n\n".join(filter(None, parts)) + "\n").encode())
+    show(folder, [layout.to_rich(table)], verdicts, console)
+
+
+def sheet(spec: "Spec", results: pd.DataFrame) -> Sheet:
+    """One row per scene, method, variant and component; one column per metric: value [interval]."""
+    metrics = list(dict.fromkeys(results["metric"]))
+    heads = [layout.metric_label(metric) for metric in metrics]
+    out = Sheet("", ["scene", "method", "variant", "component"], [("", heads)], [])
+    for place, rows in results.groupby(["scene", "method", "variant", "component"], sort=False):
+        scene, method, *rest = (str(part) for part in place)  # pyright: ignore
+        found = {row.metric: row for row in rows.itertuples()}
+        cells = [Entry([figure(found[m]) if m in found else layout.MISSING]) for m in metrics]
+        lead = [spec.labels.get(scene, scene), spec.labels.get(method, method), *rest]
+        out.rows.append((lead, cells))
+    return out
+
+
+def figure(row: Any) -> str:
+    """``0.93 [0.91, 0.95]``."""
+    interval = f" [{row.lo:.3g}, {row.hi:.3g}]" if row.lo == row.lo and row.hi == row.hi else ""
+    return f"{row.value:.3g}{interval}"
+
+
+def how(spec: "Spec", cfg: DictConfig, results: pd.DataFrame) -> str:
+    """Machine, code, lighting and settings."""
+    seen = provenance.collect(cfg)
+    commit = (seen["commit"] or "not recorded")[:12] + (" with uncommitted changes" if seen["dirty"] else "")
+    packages = ", ".join(f"{name} {version}" for name, version in seen["packages"].items() if version)
+    settings = {key: value for key, value in spec.benchmark.items() if key != "_target_"}
+    return "\n".join([
+        f"- device: {'; '.join(dict.fromkeys(results['device']))}",
+        f"- system: {seen['system']}, Python {seen['python']}; {seen['time']}",
+        f"- code: commit {commit}, `{spec.benchmark['_target_']}`",
+        f"- packages: {packages}",
+        f"- settings: {', '.join(f'{key} {value}' for key, value in settings.items())}; {' '.join(spec.common)}",
+    ])  # fmt: skip

@@ -1,0 +1,126 @@
+"""Tables that measure: the recorder's benchmark through ``prt table`` at a tiny size, and a made-up one."""
+
+import csv
+from pathlib import Path
+
+import pytest
+import tiny
+
+from prt import cli
+from prt.bench import benchmark, table
+from prt.bench.results import COLUMNS, read_results
+from prt.errors import PrtError
+
+ROOT = Path(__file__).resolve().parents[2]
+YAML = """
+title: A made-up benchmark
+benchmark: {_target_: test_benchmark.made_up, size: 4}
+grid: {scene: [cornell_glossy, mirror_room]}
+common: [budget=smoke]
+claims:
+  - record[mode=a] > 0.7 on ratio/paths/full, every scene
+  - record[mode=b] > 0.7 on ratio/paths/full, every scene
+  - record[mode=c] > 0.7 on ratio/paths/full, every scene
+"""
+CALLS = []
+
+
+def made_up(scene, lighting, size, fail=""):
+    """Three modes whose intervals lie above, across and below 0.7."""
+    CALLS.append((scene.name, lighting.resolution, size))
+    if fail == scene.name:
+        raise PrtError("out of luck")
+    rows = []
+    for mode, value in {"a": 0.9, "b": 0.7, "c": 0.5}.items():
+        figures = {"metric": "ratio/paths", "value": value, "lo": value - 0.05, "hi": value + 0.05, "n": 9}
+        rows.append(
+            {"method": "record", "device": "a CPU", "variant": f"mode={mode}", "component": "full", **figures}
+        )
+    return rows
+
+
+@pytest.fixture
+def made(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "experiments").mkdir()
+    (tmp_path / "experiments" / "made.yaml").write_text(YAML)
+    CALLS.clear()
+    return tmp_path / "reports" / "made"
+
+
+def test_a_benchmark_makes_a_whole_report(made, capsys):
+    assert cli.main(["table", "made"]) == 0
+    assert [call[0] for call in CALLS] == ["cornell_glossy", "mirror_room"] and CALLS[0][2] == 4
+    assert {path.name for path in made.iterdir()} == {
+        "results.csv", "table.md", "table.tex", "claims.csv", "report.md"
+    }  # fmt: skip
+    assert next(csv.reader((made / "results.csv").read_text().splitlines())) == COLUMNS
+    results = read_results(made / "results.csv")
+    assert len(results) == 6 and set(results.device) == {"a CPU"} and set(results.budget) == {"smoke"}
+    verdicts = list(csv.DictReader((made / "claims.csv").read_text().splitlines()))
+    overall = [row["verdict"] for row in verdicts if row["scene"] == "every scene"]
+    assert overall == ["holds", "undecided", "fails"]
+    assert (verdicts[0]["difference"], verdicts[0]["lo"]) == ("0.2", "0.15")
+    assert "| cornell_glossy | record | mode=a | full | 0.9 [0.85, 0.95] |" in (made / "table.md").read_text()
+    report = (made / "report.md").read_text()
+    assert "prt table made" in report and "size 4" in report and "Nothing." in report
+    out = capsys.readouterr().out
+    assert "holds: record" in out and str(made / "report.md").removeprefix(str(made.parents[1]) + "/") in out
+
+
+def test_settings_can_be_changed_and_are_checked(made, capsys):
+    changed = made.with_name("made_benchmark.size-8")
+    assert cli.main(["table", "made", "benchmark.size=8", "scene=mirror_room", f"report={changed}"]) == 0
+    assert CALLS == [("mirror_room", 8, 8)] and changed.is_dir() and not made.exists()
+    assert cli.main(["table", "made", "benchmark.siez=8"]) == 2
+    assert "benchmark.siez is not a setting of made_up; did you mean size" in capsys.readouterr().err
+    # changed settings never overwrite the table's own report
+    assert table.load_spec("made", ["benchmark.size=8"]).report != Path("reports/made")
+
+
+def test_a_scene_that_fails_does_not_cost_the_others(made, capsys):
+    assert cli.main(["table", "made", "benchmark.fail=mirror_room", f"report={made}"]) == 1
+    assert set(read_results(made / "results.csv").scene) == {"cornell_glossy"}
+    assert "- mirror_room: out of luck" in (made / "report.md").read_text()
+    verdicts = list(csv.DictReader((made / "claims.csv").read_text().splitlines()))
+    assert [row["verdict"] for row in verdicts[:3]] == ["holds", "undecided", "undecided"]
+    # with nothing measured there is no report
+    assert cli.main(["table", "made", "scene=mirror_room", "benchmark.fail=mirror_room"]) == 2
+    assert "out of luck" in capsys.readouterr().err
+
+
+def test_dry_run_measures_nothing(made, capsys):
+    assert cli.main(["table", "made", "--dry-run"]) == 0
+    assert "2 measurements" in capsys.readouterr().out and not CALLS and not made.exists()
+
+
+def test_without_data_a_benchmark_takes_what_needs_none(monkeypatch, tmp_path):
+    path = str(ROOT / "experiments" / "performance" / "record.yaml")
+    monkeypatch.setenv("PRT_DATA", str(tmp_path))
+    spec = table.load_spec(path)
+    assert spec.grid["scene"] == ["cornell_glossy", "kitchen"] and "lighting=hdri" in spec.common
+    monkeypatch.delenv("PRT_DATA")
+    spec = table.load_spec(path)
+    assert spec.grid["scene"] == ["cornell_glossy"] and "lighting=procedural" in spec.common
+    assert {claim.metric for claim in spec.claims} == {"ratio/paths", "ratio/cost"}
+
+
+def test_the_recorders_own_benchmark_runs(made, own_cache, maps, monkeypatch):
+    """``experiments/performance/record.yaml`` as it stands, with everything tiny."""
+    monkeypatch.delenv("PRT_DATA", raising=False)
+    small = dict(size=4, spp=2, lights=2, repetitions=3, variance_spp=2, variance_seeds=3)
+    lights = [*tiny.lights(maps), f"task.resolution={tiny.RESOLUTION}"]
+    spec = table.load_spec(
+        str(ROOT / "experiments" / "performance" / "record.yaml"),
+        [f"report={made}", "budget=smoke", *(f"benchmark.{k}={v}" for k, v in small.items())],
+    )
+    spec.common = ["budget=smoke", *lights]  # in place of procedural rooms, which take a minute
+    assert benchmark.main(spec) == 0
+    results = read_results(made / "results.csv")
+    assert set(results.method) == {"record"} and (results.value > 0).all()
+    assert set(results.metric) == {
+        "ratio/paths", "ratio/cost", "ratio/variance", "paths/record", "paths/render"
+    }  # fmt: skip
+    assert {"mode=bsdf,map=indoor", "mode=nee,map=outdoor"} <= set(results.variant)
+    verdicts = list(csv.DictReader((made / "claims.csv").read_text().splitlines()))
+    assert len(verdicts) == 8 and not any(row["note"].startswith("record") for row in verdicts)
