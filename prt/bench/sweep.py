@@ -50,6 +50,9 @@ def sweep(overrides: Sequence[str]) -> int:
             app()
         except (HydraException, OmegaConfBaseException) as error:
             raise compose.translate(error, overrides) from error
+        except OSError as error:  # Hydra's own folder of the sweep; a run's errors come as PrtError
+            where = f"{error.filename}: {error.strerror}"
+            raise PrtError(f"cannot write {where}; choose another with run.folder=<path>") from error
         except PrtError:
             say("prt: error: some runs of the sweep failed, the others are done; `prt status` lists them")
             return 2

@@ -34,13 +34,12 @@ def find_llvm() -> Path | None:
         Path("/usr/lib/aarch64-linux-gnu"),
     ]
     folders += sorted(Path("/usr/lib").glob("llvm-*/lib"), reverse=True)
-    found = [
-        (llvm_version(path), -rank, path)
+    usable = [
+        (version, -rank, path)
         for rank, folder in enumerate(folders)
         for path in folder.glob("libLLVM*.so*")
-        if llvm_version(path) is not None
+        if (version := llvm_version(path) or 0) >= OLDEST_LLVM
     ]
-    usable = [entry for entry in found if entry[0] >= OLDEST_LLVM]
     return max(usable)[2] if usable else None
 
 
@@ -67,7 +66,8 @@ def mitsuba() -> ModuleType:
     """The ``mitsuba`` module with its variant set.
 
     Raises:
-        PrtError: if the chosen variant needs an LLVM that this machine lacks or that is known to abort.
+        PrtError: if the chosen variant needs an LLVM that this machine lacks or that is known to abort, or
+            if drjit was imported earlier and took such a one.
     """
     variant = choose_variant()
     if variant.startswith("llvm"):
@@ -93,6 +93,21 @@ def mitsuba() -> ModuleType:
         )
     import mitsuba as mi
 
+    if variant.startswith("llvm"):
+        check_loaded_llvm()
     mi.set_variant(variant)
     mi.set_log_level(mi.LogLevel.Error)
     return mi
+
+
+def check_loaded_llvm() -> None:
+    """Refuse an LLVM that would abort the process: Dr.Jit takes its LLVM when it is imported, not later."""
+    import drjit
+
+    version = drjit.detail.llvm_version()[0]
+    if version < OLDEST_LLVM:
+        raise PrtError(
+            f"mitsuba or drjit was imported before prt and loaded {f'LLVM {version}' if version > 0 else 'no LLVM'}, "
+            f"but {OLDEST_LLVM} or newer is needed: call prt.scene.mitsuba_setup.mitsuba() before importing them, "
+            f"or start Python with DRJIT_LIBLLVM_PATH={os.environ['DRJIT_LIBLLVM_PATH']}"
+        )

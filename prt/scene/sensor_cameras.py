@@ -80,9 +80,9 @@ def cameras_around_bounds(
     low: Sequence[float], high: Sequence[float], fov: float = 45.0
 ) -> dict[str, list[Trajectory]]:
     """Trajectories on a sphere about the bounding box that keep all of it in the picture."""
-    low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
-    center = tuple(map(float, (low + high) / 2))
-    half = max(float(np.linalg.norm(high - low)) / 2, 1e-6)
+    corners = np.array([low, high], dtype=float)
+    center = tuple(map(float, corners.mean(axis=0)))
+    half = max(float(np.linalg.norm(corners[1] - corners[0])) / 2, 1e-6)
     radius = half / math.sin(math.radians(fov) / 2)
     common = {"center": center, "fov": fov}
     return {

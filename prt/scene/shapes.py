@@ -198,7 +198,7 @@ def lathe_mesh(
         first = np.clip(np.floor(v * spans).astype(int), 0, spans - 1)
         t = (v * spans - first)[..., None]
         weights = (1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3
-        return sum(weight * points[first + k] for k, weight in enumerate(weights)) / 6.0
+        return np.sum([weight * points[first + k] for k, weight in enumerate(weights)], axis=0) / 6.0
 
     def surface(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         around, outline = 2.0 * np.pi * u, curve(v)

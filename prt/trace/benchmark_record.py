@@ -72,8 +72,6 @@ def benchmark(
     Raises:
         PrtError: if a number is below what the measure needs, or the lighting has fewer tests than ``maps``.
     """
-    import drjit as dr
-
     least = {"size": 1, "spp": 1, "lights": 1, "repetitions": 3, "variance_spp": 1, "variance_seeds": 3}
     given = (size, spp, lights, repetitions, variance_spp, variance_seeds)
     for (name, lowest), value in zip(least.items(), given, strict=True):
@@ -87,10 +85,7 @@ def benchmark(
             "raise lighting.test_count (hdri) or lighting.test_rooms and test_skies (procedural)"
         )
     setup = Setup(scene, view, train, lights)
-    mi = mitsuba()
-    cuda = mi.variant().startswith("cuda")
-    device = device_name("cuda") if cuda else f"{device_name()}, {dr.thread_count()} threads"
-    common = {"method": "record", "device": device}
+    common = {"method": "record", "device": renderer_device()}
     steps = len(MODES) * (repetitions + WARM_UP) + COST_REPETITIONS + len(maps) * variance_seeds
     rows: list[dict[str, Any]] = []
     with Bar(f"record benchmark, {scene.name}", steps) as bar:
@@ -197,6 +192,14 @@ class Setup:
         for mode in MODES:
             for part in ("full", "indirect"):
                 yield mode, part, ratio_of_means(spread["render", part], spread[mode, part])
+
+
+def renderer_device() -> str:
+    """What Mitsuba renders on, in words."""
+    cuda = mitsuba().variant().startswith("cuda")
+    import drjit as dr  # only after Mitsuba has been set up
+
+    return device_name("cuda") if cuda else f"{device_name()}, {dr.thread_count()} threads"
 
 
 def timed(function: Callable[[], object]) -> float:

@@ -27,12 +27,48 @@ print("worked with", mi.variant())
 """
 
 
+def python(code: str) -> subprocess.CompletedProcess:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+
+
 @pytest.mark.parametrize("order", IMPORTS)
-def test_torch_and_mitsuba_work_in_either_order(order):
-    result = subprocess.run(
-        [sys.executable, "-c", IMPORTS[order] + WORK], capture_output=True, text=True, timeout=120
-    )
+def test_torch_and_mitsuba_work_in_either_order(order, monkeypatch):
+    # a Dr.Jit that is imported first takes its LLVM from this variable alone
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(find_llvm() or ""))
+    result = python(IMPORTS[order] + WORK)
     assert result.returncode == 0 and "worked with" in result.stdout, result.stderr
+
+
+def test_prt_finds_the_library_by_itself(monkeypatch):
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
+    result = python("import torch, prt" + WORK + "\nprint(dr.detail.llvm_version()[0])")
+    assert result.returncode == 0 and int(result.stdout.split()[-1]) >= OLDEST_LLVM, result.stderr
+
+
+def test_a_drjit_imported_before_that_took_a_bad_library_is_refused(monkeypatch, tmp_path):
+    """Kernels of LLVM 15 abort the process (``Cannot select: fmaximum``): better one line."""
+    if not choose_variant().startswith("llvm"):
+        pytest.skip("this machine runs Mitsuba without LLVM")
+    (tmp_path / "libLLVM.so").write_text("no library")
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / "libLLVM.so"))
+    late = "import drjit, os; del os.environ['DRJIT_LIBLLVM_PATH']\n"
+    result = python(late + "from prt.scene.mitsuba_setup import mitsuba\nmitsuba()")
+    last = result.stderr.splitlines()[-1]
+    assert result.returncode == 1 and "PrtError: mitsuba or drjit was imported before prt" in last
+    assert "no LLVM" in last and "DRJIT_LIBLLVM_PATH=" in last
+
+
+@pytest.mark.parametrize(("version", "usable"), [(14, False), (15, False), (16, False), (17, True), (23, True)])
+def test_the_version_that_drjit_took_decides(monkeypatch, version, usable):
+    mitsuba_setup.mitsuba()
+    import drjit
+
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/usr/lib/libLLVM-23.so")
+    monkeypatch.setattr(drjit.detail, "llvm_version", lambda: (version, 0, 6))
+    if usable:
+        return mitsuba_setup.check_loaded_llvm()
+    with pytest.raises(PrtError, match=f"loaded LLVM {version}, but {OLDEST_LLVM} or newer"):
+        mitsuba_setup.check_loaded_llvm()
 
 
 @pytest.mark.parametrize(
