@@ -20,6 +20,7 @@ import pandas as pd
 import pytest
 import tiny
 import torch
+from safetensors.torch import load_file
 
 from prt import cli
 from prt.bench.compose import compose
@@ -132,7 +133,9 @@ def test_extreme_lightings_are_judged_like_any_other(fitted, tiny_task, maps, ow
     view = tiny_task.tests()[0].gbuffer.view
     item = tiny_task.test_item("far", "far00", view, lighting, LIGHTINGS[lighting])
     assert all(image.isfinite().all() and (image >= 0).all() for image in item.references.values())
-    cfg = compose([*tiny.TASK, *tiny.lights(maps), "run.denoise=true", "run.metrics=[psnr,ssim,flip,mape,mae,rmse]"])
+    cfg = compose(
+        [*tiny.TASK, *tiny.lights(maps), "run.denoise=true", "run.metrics=[psnr,ssim,flip,mape,mae,rmse]"]
+    )
     for name in ("wavelet_neural", "neural_prt"):
         rows = evaluate_item(folder := RunFolder(tmp_path / name), cfg, tiny_task, fitted[name], item)
         folder.write_metrics(rows)
@@ -148,9 +151,10 @@ def test_extreme_lightings_are_judged_like_any_other(fitted, tiny_task, maps, ow
 BAD = {"nan": (math.nan, "1 NaN"), "infinite": (math.inf, "1 infinite"), "negative": (-0.5, "1 negative")}
 
 
-def spoilt(folder: Path, value: float) -> Path:
+def spoilt(folder: Path, *values: float) -> Path:
     image = torch.rand((8, 16, 3), generator=torch.Generator().manual_seed(0))
-    image[4, 7, 1] = value
+    for row, value in enumerate(values):
+        image[row, 7, 1] = value
     write_exr(folder / "spoilt.exr", image)
     return folder / "spoilt.exr"
 
@@ -160,15 +164,16 @@ def test_a_bad_environment_is_one_line_that_names_the_cure(prt, own_cache, tiny_
     path = spoilt(tmp_path, BAD[kind][0])
     status, _, err = prt("run", *tiny.TASK, *tiny.lights(maps, path), *SMALL["path_traced"])
     message = one_line(err)
-    assert status == 2 and "'spoilt'" in message and BAD[kind][1] in message and "lighting.mend=true" in message
+    assert (
+        status == 2 and "'spoilt'" in message and BAD[kind][1] in message and "lighting.mend=true" in message
+    )
 
 
-@pytest.mark.parametrize("kind", BAD)
-def test_a_mended_environment_runs(prt, own_cache, tiny_task, maps, tmp_path, kind):
-    path = spoilt(tmp_path, BAD[kind][0])
-    status, _, err = prt("run", *tiny.TASK, *tiny.lights(maps, path), *SMALL["path_traced"],
-                         "lighting.mend=true", "task.near_views=0")  # fmt: skip
-    assert status == 0 and "mended" in err, err
+def test_a_mended_environment_runs(prt, own_cache, tiny_task, maps, tmp_path):
+    path = spoilt(tmp_path, *(value for value, _ in BAD.values()))
+    lights = [*tiny.lights(maps, path), "lighting.mend=true"]
+    status, _, err = prt("run", *tiny.TASK, *lights, *SMALL["path_traced"], "task.near_views=0")
+    assert status == 0 and "1 NaN, 1 infinite, 1 negative of 128 texels; mended" in err, err
     (run,) = find_runs(tmp_path / "runs")
     assert np.isfinite(run.metrics().value).all()
 
@@ -193,7 +198,11 @@ def test_odd_environment_files_run_to_the_end(prt, own_cache, tiny_task, maps, t
 
 def test_a_view_that_sees_nothing(fitted, tiny_task, maps, own_cache, tmp_path):
     gbuffer = capture(tiny_task.mitsuba_scene, NOTHING)
-    assert len(gbuffer) == 0 and gbuffer.hit.numel() == 256 and gbuffer.image(gbuffer.position).shape == (16, 16, 3)
+    assert (
+        len(gbuffer) == 0
+        and gbuffer.hit.numel() == 256
+        and gbuffer.image(gbuffer.position).shape == (16, 16, 3)
+    )
     for prior in (None, tiny.random_cubemap()):
         transport = record(tiny_task.mitsuba_scene, NOTHING, 4, 3, tiny.RESOLUTION, 0, prior=prior)
         light = tiny.random_cubemap().reshape(1, -1, 3)
@@ -203,7 +212,9 @@ def test_a_view_that_sees_nothing(fitted, tiny_task, maps, own_cache, tmp_path):
         assert transport.component("background").relight(light).max() > 0
     item = tiny_task.test_item("far", "nothing", NOTHING, "bright", tiny.random_cubemap())
     assert all(image.shape == (16, 16, 3) and image.max() == 0 for image in item.references.values())
-    cfg = compose([*tiny.TASK, *tiny.lights(maps), "run.denoise=true", "run.metrics=[psnr,ssim,flip,mape,mae,rmse]"])
+    cfg = compose(
+        [*tiny.TASK, *tiny.lights(maps), "run.denoise=true", "run.metrics=[psnr,ssim,flip,mape,mae,rmse]"]
+    )
     for name, method in fitted.items():
         assert method.shade(item.gbuffer, method.light(item.lighting)).shape == (0, 3)
         rows = evaluate_item(folder := RunFolder(tmp_path / name), cfg, tiny_task, method, item)
@@ -256,7 +267,10 @@ def test_a_mesh_without_normals_and_with_degenerate_triangles(prt, own_cache, ti
         (["run", "lightning=hdri"], "did you mean lighting"),
         (["run", "scene=cornel_glossy"], "did you mean cornell_glossy"),
         (["run", "-m", "method.training.step=1,2"], "did you mean method.training.steps"),
-        (["run", "+method.wavelet=3"], "method.wavelet is not a setting of WaveletNeural; did you mean wavelets"),
+        (
+            ["run", "+method.wavelet=3"],
+            "method.wavelet is not a setting of WaveletNeural; did you mean wavelets",
+        ),
         (["run", "method.grid.level=3"], "did you mean method.grid.levels"),
         (["run", "+run.fodler=x"], "nothing reads this setting"),
         (["table", "quickstrat"], "did you mean quickstart"),
@@ -285,7 +299,9 @@ def test_a_cache_that_cannot_be_written(prt, monkeypatch, maps, tmp_path):
     monkeypatch.setenv("PRT_CACHE", str(tmp_path / "file" / "cache"))
     status, _, err = prt("run", *tiny.TASK, *tiny.lights(maps), *SMALL["wavelet_neural"])
     message = one_line(err)
-    assert status == 2 and "cannot" in message and str(tmp_path / "file") in message and "PRT_CACHE" in message
+    assert (
+        status == 2 and "cannot" in message and str(tmp_path / "file") in message and "PRT_CACHE" in message
+    )
 
 
 def test_a_report_that_cannot_be_written(prt, tmp_path):
@@ -297,7 +313,13 @@ def test_a_report_that_cannot_be_written(prt, tmp_path):
 # ---- two runs sharing one cache, and runs killed at any moment
 
 STEPS = 160
-SETTINGS = [*tiny.TASK, "task.train_views=6", "task.far_views=3", "task.near_views=2", "run.checkpoint_seconds=0.05"]
+SETTINGS = [
+    *tiny.TASK,
+    "task.train_views=6",
+    "task.far_views=3",
+    "task.near_views=2",
+    "run.checkpoint_seconds=0.05",
+]
 FITTING = {
     "wavelet_neural": ["method=wavelet_neural", "method.wavelets=24", f"method.training.steps={STEPS}"],
     "neural_prt": ["method=neural_prt", f"method.training.steps={STEPS}"],
@@ -385,7 +407,9 @@ def test_a_run_killed_at_any_moment_resumes_to_the_same_numbers(method, whole, m
 
     assert run.path.name == truth.path.name
     assert (run.path / "metrics.csv").read_bytes() == (truth.path / "metrics.csv").read_bytes()
-    assert run.checkpoint.read_bytes() == truth.checkpoint.read_bytes()
+    # not byte by byte: safetensors writes the two entries of its header's metadata in either order
+    mine, other = load_file(run.checkpoint), load_file(truth.checkpoint)
+    assert mine.keys() == other.keys() and all(torch.equal(mine[name], other[name]) for name in mine)
     pd.testing.assert_frame_equal(run.log().drop(columns="seconds"), truth.log().drop(columns="seconds"))
     assert len(run.log()) == STEPS
     for path in sorted((truth.path / "images").rglob("*.exr")):

@@ -9,10 +9,10 @@ from prt.bench.exr import write_exr
 RESOLUTION = 8
 #: overrides of the real configuration; with :func:`lights` they need no data and trace no rooms
 TASK = [
-    "scene=cornell_glossy", "budget=smoke", "device=cpu", f"task.resolution={RESOLUTION}", "task.train_views=4",
-    "task.train_size=8", "task.train_spp=8", "task.near_views=1", "task.far_views=1", "task.test_size=16",
-    "task.reference_spp=4", "task.direct_spp=2", "task.split_spp=4", "run.denoise=false",
-    "run.metrics=[psnr,ssim,mae]",
+    "scene=cornell_glossy", "budget=smoke", "device=cpu", f"task.resolution={RESOLUTION}",
+    "task.train_views=4", "task.train_size=8", "task.train_spp=8", "task.near_views=1", "task.far_views=1",
+    "task.test_size=16", "task.reference_spp=4", "task.direct_spp=2", "task.split_spp=4",
+    "run.denoise=false", "run.metrics=[psnr,ssim,mae]",
 ]  # fmt: skip
 
 
@@ -27,8 +27,9 @@ def write_maps(folder: Path) -> Path:
 def lights(maps: Path, path: Path | str = "null") -> list[str]:
     """Overrides that light with the maps of :func:`write_maps`; ``path`` is what tests are lit by instead."""
     return [
-        "lighting=hdri", f"lighting.train_folders=[{maps}/train]", f"lighting.test_folders=[{maps}/test]",
-        "lighting.train_count=null", "lighting.test_count=2", "lighting.rotations=[0]", f"lighting.path={path}",
+        "lighting=hdri", f"lighting.train_folders=[{maps}/train]",
+        f"lighting.test_folders=[{maps}/test]", "lighting.train_count=null", "lighting.test_count=2",
+        "lighting.rotations=[0]", f"lighting.path={path}",
     ]  # fmt: skip
 
 

@@ -9,8 +9,8 @@ The YAML names a function instead of methods; the rest of it means what it means
     claims: ["record > 0.7 on ratio/paths/full, every scene"]
 
 The function is called once per scene, as ``function(scene=..., lighting=..., **settings)``, and returns rows
-with ``method, device, variant, component, metric, value, lo, hi, n``. It is measured anew by every call of the
-command: times compare only within one run on one machine.
+with ``method, device, variant, component, metric, value, lo, hi, n``. It is measured anew by every call of
+the command: times compare only within one run on one machine.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -127,11 +127,11 @@ def how(spec: "Spec", cfg: DictConfig, results: pd.DataFrame) -> str:
     seen = provenance.collect(cfg)
     commit = (seen["commit"] or "not recorded")[:12] + (" with uncommitted changes" if seen["dirty"] else "")
     packages = ", ".join(f"{name} {version}" for name, version in seen["packages"].items() if version)
-    settings = {key: value for key, value in spec.benchmark.items() if key != "_target_"}
+    settings = [f"{key} {value}" for key, value in spec.benchmark.items() if key != "_target_"]
     return "\n".join([
         f"- device: {'; '.join(dict.fromkeys(results['device']))}",
         f"- system: {seen['system']}, Python {seen['python']}; {seen['time']}",
         f"- code: commit {commit}, `{spec.benchmark['_target_']}`",
         f"- packages: {packages}",
-        f"- settings: {', '.join(f'{key} {value}' for key, value in settings.items())}; {' '.join(spec.common)}",
+        f"- settings: {', '.join(settings)}; {' '.join(spec.common)}",
     ])  # fmt: skip

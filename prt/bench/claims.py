@@ -11,9 +11,9 @@ One claim is one line::
     wavelet_neural > 30 on psnr/indirect, far, scene cornell_glossy
 
 ``>`` always means *better*, whichever way the metric runs; ``~ ... within`` means equal up to that much. A
-method may carry its variant and its split in brackets. ``|`` writes several claims in one line. Costs have no
-component and no split: ``wavelet_neural > path_traced on time/frame, every scene``. A benchmark's ratios have a
-component: ``record[mode=bsdf] > 0.7 on ratio/paths/full, every scene``.
+method may carry its variant and its split in brackets. ``|`` writes several claims in one line. Costs have
+no component and no split: ``wavelet_neural > path_traced on time/frame, every scene``. A benchmark's ratios
+have a component: ``record[mode=bsdf] > 0.7 on ratio/paths/full, every scene``.
 """
 
 import itertools

@@ -80,7 +80,7 @@ def is_cost(metric: str) -> bool:
 
 
 def measured_once(metric: str) -> bool:
-    """Whether a metric has one figure, not one an image, and so no split: costs, and a benchmark's figures."""
+    """Whether a metric has one figure, not one an image, and so no split: costs, a benchmark's figures."""
     return is_cost(metric) or metric.startswith(("ratio/", "paths/"))
 
 

@@ -34,6 +34,7 @@ from prt.methods.training import (
     warm_up_then_cosine,
 )
 from prt.nn.hashgrid import HashGrid
+from prt.nn.wavelet_texture import WaveletTexture
 from prt.nn.wavelet_transport import WaveletTransport
 from prt.scene.gbuffer import GBuffer
 from prt.trace.statistics import wavelet_scale
@@ -63,6 +64,7 @@ class WaveletNeural:
         width: neurons in each of the two hidden layers of f.
         sh_degree: largest SH band of the reflected direction.
         scale_outputs: predict T_k / sigma_k instead of T_k.
+        texture: W, one vector a wavelet (``independent``, the paper's) or partly ``shared`` by neighbours.
         training: steps, pixels, wavelets, largest_share, draw, lightings, target, loss, mu, epsilon, rates
             (grid, wavelet, mlp), average, strategies.
         precision: arithmetic of ``shade``: ``float32`` or ``bfloat16`` (the latter for the hidden layers).
@@ -81,6 +83,7 @@ class WaveletNeural:
         width: int,
         sh_degree: int,
         scale_outputs: bool,
+        texture: Literal["shared", "independent"],
         training: dict[str, Any],
         precision: Literal["float32", "bfloat16"] = "float32",
         folded: bool = True,
@@ -94,10 +97,13 @@ class WaveletNeural:
             raise PrtError(f"method.training.draw={training['draw']!r} is not one of uniform, transport")
         if training["target"] not in ("full", "truncated"):
             raise PrtError(f"method.training.target={training['target']!r} is not one of full, truncated")
+        if texture not in ("shared", "independent"):
+            raise PrtError(f"method.texture={texture!r} is not one of shared, independent")
         if wavelets < 1:
             raise PrtError(f"method.wavelets={wavelets} must be at least 1")
         self.wavelets, self.selection, self.grid_settings = wavelets, selection, dict(grid)
         self.width, self.sh_degree, self.scale_outputs = width, sh_degree, scale_outputs
+        self.texture = texture
         self.training, self.precision, self.folded, self.chunk = training, precision, folded, chunk
         self.device = "cpu"
 
@@ -107,8 +113,9 @@ class WaveletNeural:
         """Make an untrained network for a box of space and a cubemap resolution."""
         grid = HashGrid(**self.grid_settings, bounds=bounds)
         scale = sigma if self.scale_outputs else None
-        self.net = WaveletTransport(grid, 6 * resolution**2, self.width, self.sh_degree, scale).to(device)
-        self.bounds = bounds
+        texture = WaveletTexture(resolution, grid.out_features, self.texture == "shared")
+        self.net = WaveletTransport(grid, texture, self.width, self.sh_degree, scale).to(device)
+        self.bounds, self.draw_weights = bounds, sigma.cpu()
         self.sigma, self.resolution, self.device = sigma.to(device), resolution, device
 
     def fit(self, task: Any, log: FitLog, seed: int, device: str) -> None:
@@ -122,7 +129,7 @@ class WaveletNeural:
         optimiser = torch.optim.Adam(
             [
                 {"params": net.grid.parameters(), "lr": rates["grid"]},
-                {"params": [net.wavelet], "lr": rates["wavelet"]},
+                {"params": net.texture.parameters(), "lr": rates["wavelet"]},
                 {"params": [net.feature, *net.mlp.parameters()], "lr": rates["mlp"]},
             ],
             betas=(0.9, 0.99),

@@ -19,6 +19,7 @@ from torch import Tensor, nn
 from prt.nn.encodings import log_roughness, sh_encode
 from prt.nn.hashgrid import HashGrid
 from prt.nn.mlp import Mlp
+from prt.nn.wavelet_texture import WaveletTexture
 
 
 def surface_features(
@@ -33,7 +34,7 @@ class WaveletTransport(nn.Module):
 
     Args:
         grid: the spatial factors S_m; its output size is M.
-        wavelets: number of wavelets, 6 R R.
+        texture: the wavelet factors W_m, 6 R R wavelets.
         width: neurons of each of the two hidden layers.
         degree: largest SH band of the reflected direction.
         scale: per-wavelet output scale, (wavelets,) or None for 1.
@@ -41,11 +42,13 @@ class WaveletTransport(nn.Module):
 
     scale: Tensor
 
-    def __init__(self, grid: HashGrid, wavelets: int, width: int, degree: int, scale: Tensor | None = None):
+    def __init__(
+        self, grid: HashGrid, texture: WaveletTexture, width: int, degree: int, scale: Tensor | None = None
+    ):
         super().__init__()
         self.grid, self.degree, self.width = grid, degree, width
         terms = grid.out_features
-        self.wavelet = nn.Parameter(torch.randn(wavelets, terms))
+        self.texture = texture
         self.feature = nn.Parameter(torch.eye(terms) + torch.randn(terms, terms) / terms**0.5 * 0.1)
         inputs = terms + (degree + 1) ** 2 + 10
         self.mlp = Mlp(inputs, width, 2, 3)
@@ -53,7 +56,7 @@ class WaveletTransport(nn.Module):
             torch.no_grad()
         ):  # no transport at first: random coefficients of 64 wavelets would add up to noise
             self.mlp.layers[2].weight.mul_(0.1)
-        self.register_buffer("scale", torch.ones(wavelets) if scale is None else scale)
+        self.register_buffer("scale", torch.ones(texture.wavelets) if scale is None else scale)
 
     @property
     def terms(self) -> int:
@@ -70,7 +73,7 @@ class WaveletTransport(nn.Module):
     ) -> Float[Tensor, "N K 3"]:
         """Eqs. 4 and 7 as printed."""
         space = self.grid(position)
-        field = torch.einsum("nm,km,ml->nkl", space, self.wavelet[k], self.feature)
+        field = torch.einsum("nm,km,ml->nkl", space, self.texture(k), self.feature)
         inputs = torch.cat([field, features[:, None, :].expand(-1, len(k), -1)], dim=2)
         return self.mlp(inputs) * self.scale[k][None, :, None]
 
@@ -78,7 +81,7 @@ class WaveletTransport(nn.Module):
         """diag(W_k) V for the wavelets k, side by side: once per light."""
         first = self.mlp.layers[0].weight[:, : self.terms]
         folded = self.feature @ first.T
-        return torch.einsum("km,mh->mkh", self.wavelet[k], folded).reshape(self.terms, -1)
+        return torch.einsum("km,mh->mkh", self.texture(k), folded).reshape(self.terms, -1)
 
     def per_pixel(self, features: Float[Tensor, "N F"]) -> Float[Tensor, "N H"]:
         """g_p: the part of the first layer that knows no wavelet."""

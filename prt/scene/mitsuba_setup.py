@@ -106,8 +106,9 @@ def check_loaded_llvm() -> None:
 
     version = drjit.detail.llvm_version()[0]
     if version < OLDEST_LLVM:
+        loaded = f"LLVM {version}" if version > 0 else "no LLVM"
         raise PrtError(
-            f"mitsuba or drjit was imported before prt and loaded {f'LLVM {version}' if version > 0 else 'no LLVM'}, "
-            f"but {OLDEST_LLVM} or newer is needed: call prt.scene.mitsuba_setup.mitsuba() before importing them, "
-            f"or start Python with DRJIT_LIBLLVM_PATH={os.environ['DRJIT_LIBLLVM_PATH']}"
+            f"mitsuba or drjit was imported before prt and loaded {loaded}, but {OLDEST_LLVM} or newer is "
+            "needed: call prt.scene.mitsuba_setup.mitsuba() before importing them, or start Python with "
+            f"DRJIT_LIBLLVM_PATH={os.environ['DRJIT_LIBLLVM_PATH']}"
         )

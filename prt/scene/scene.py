@@ -36,9 +36,7 @@ class Scene:
         if record not in ("bsdf", "nee"):
             raise PrtError(f"scene.record={record!r} is not one of bsdf, nee")
         if not isinstance(max_depth, int) or max_depth < 2:
-            raise PrtError(
-                f"scene.max_depth={max_depth!r} must be an integer of at least 2 (indirect light)"
-            )
+            raise PrtError(f"scene.max_depth={max_depth!r} must be an integer of at least 2 (indirect light)")
         self.name, self.max_depth, self.record = name, max_depth, record
         missing = [split for split in ("train", "far") if not (cameras and cameras.get(split))]
         if missing:

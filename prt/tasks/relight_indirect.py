@@ -257,7 +257,10 @@ class RelightIndirect:
             name: (found[f"{name}.0"] + found[f"{name}.1"]) / 2 for name in ("full", "indirect", "direct")
         }
         # capped as PSNR itself: two black halves are equal, and infinity has no mean
-        floor = {name: min(noise_floor(found[f"{name}.0"], found[f"{name}.1"], psnr), PSNR_CAP) for name in references}
+        floor = {
+            name: min(noise_floor(found[f"{name}.0"], found[f"{name}.1"], psnr), PSNR_CAP)
+            for name in references
+        }
         return TestItem(
             split, view_name, lighting_name, lighting, gbuffer, references, floor, found["direct.other"]
         )

@@ -81,7 +81,7 @@ def task():
     )  # fmt: skip
     lightings = torch.rand(LIGHTINGS, texels, 3, generator=generator) ** 4 * torch.tensor([1.0, 2.0, 0.5])
     training = types.SimpleNamespace(
-        gbuffer=gbuffer, transport=transport, importance={"specular": torch.ones(POINTS)}
+        gbuffer=gbuffer, transport=transport, importance={"specular": torch.ones(POINTS)}, bounds=BOUNDS
     )
     return types.SimpleNamespace(
         scene=types.SimpleNamespace(bounds=BOUNDS), resolution=RESOLUTION,

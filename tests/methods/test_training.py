@@ -34,7 +34,9 @@ def test_mu_law_maps_zero_to_zero_and_one_to_one():
 def test_both_losses_agree_to_first_order_and_only_one_is_unbiased():
     target = torch.rand((4, 50, 3), generator=torch.Generator().manual_seed(0)).double() + 0.2
     near = target * 1.0001
-    assert image_loss(near, target, "mu_law_slope") == pytest.approx(float(image_loss(near, target)), rel=1e-3)
+    assert image_loss(near, target, "mu_law_slope") == pytest.approx(
+        float(image_loss(near, target)), rel=1e-3
+    )
     # where the target is noisy, the gradient at its mean must vanish
     noise = torch.rand(200_000, generator=torch.Generator().manual_seed(1)).double() * 4
     gradients = {}

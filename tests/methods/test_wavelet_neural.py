@@ -10,18 +10,35 @@ from prt.scene.gbuffer import GBuffer
 
 RESOLUTION = 8
 TRAINING = dict(
-    steps=30, pixels=64, wavelets=32, largest_share=0.5, draw="transport", lightings=2, target="truncated",
-    loss="mu_law_slope", precision="float32", mu=10.0, epsilon=1.0, rates=dict(grid=1e-2, wavelet=1e-2, mlp=2e-3), average=0.9,
+    steps=30,
+    pixels=64,
+    wavelets=32,
+    largest_share=0.5,
+    draw="transport",
+    lightings=2,
+    target="truncated",
+    loss="mu_law_slope",
+    precision="float32",
+    mu=10.0,
+    epsilon=1.0,
+    rates=dict(grid=1e-2, wavelet=1e-2, mlp=2e-3),
+    average=0.9,
     strategies=dict(uniform=1.0, specular=1.0),
-)  # fmt: skip
+)
 
 
 def make(**changes) -> WaveletNeural:
     training = {**TRAINING, **changes.pop("training", {})}
     settings = dict(
-        wavelets=16, selection="transport", width=32, sh_degree=4, scale_outputs=True, training=training,
+        wavelets=16,
+        selection="transport",
+        width=32,
+        sh_degree=4,
+        scale_outputs=True,
+        texture="shared",
+        training=training,
         grid=dict(levels=4, features=2, log2_table=10, base_resolution=4, scale=1.5),
-    )  # fmt: skip
+    )
     return WaveletNeural(**{**settings, **changes})
 
 
@@ -34,8 +51,17 @@ def random_gbuffer(count: int, seed: int = 0) -> GBuffer:
     def unit(columns):
         return torch.rand(count, columns, generator=generator)
 
-    return GBuffer(unit(3) * 2 - 1, directions(), directions(), directions(), unit(3), unit(3), unit(1), unit(2),
-                   torch.ones(count, dtype=torch.bool))  # fmt: skip
+    return GBuffer(
+        unit(3) * 2 - 1,
+        directions(),
+        directions(),
+        directions(),
+        unit(3),
+        unit(3),
+        unit(1),
+        unit(2),
+        torch.ones(count, dtype=torch.bool),
+    )
 
 
 @pytest.fixture
@@ -125,8 +151,10 @@ def test_saved_model_renders_the_same(built, tmp_path):
     other = make()
     other.load(tmp_path / "model.safetensors", Task(), "cpu")
     gbuffer = random_gbuffer(30)
-    assert torch.equal(built.shade(gbuffer, built.light(random_lighting())),
-                       other.shade(gbuffer, other.light(random_lighting())))  # fmt: skip
+    assert torch.equal(
+        built.shade(gbuffer, built.light(random_lighting())),
+        other.shade(gbuffer, other.light(random_lighting())),
+    )
 
 
 @pytest.mark.parametrize(

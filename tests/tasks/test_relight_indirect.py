@@ -7,6 +7,7 @@ import pytest
 import tiny
 import torch
 
+from prt.bench.build import build as build_group
 from prt.bench.compose import compose
 from prt.bench.run import build_task
 from prt.errors import PrtError
@@ -41,7 +42,9 @@ def test_training_points_carry_their_transport(tiny_task):
     assert 0 < count < 4 * 8 * 8 and data.transport.pixels == count == len(data.point_view)
     assert (data.transport.bounces >= 2).all() and data.transport.resolution == tiny.RESOLUTION
     assert set(data.importance) == {"specular", "high_frequency", "view_variance"}
-    assert all(w.shape == (count,) and (w >= 0).all() and w.isfinite().all() for w in data.importance.values())
+    assert all(
+        w.shape == (count,) and (w >= 0).all() and w.isfinite().all() for w in data.importance.values()
+    )
     low, high = (torch.tensor(corner) for corner in data.bounds)
     assert ((data.gbuffer.position >= low) & (data.gbuffer.position <= high)).all()
     # a point belongs to the view that its wo points to
@@ -84,9 +87,7 @@ def test_scenes_lit_through_openings_are_recorded_with_the_prior(own_cache, maps
 @pytest.mark.parametrize(("train", "near"), [(4, 1), (5, 3), (96, 4), (96, 20), (7, 7)])
 @pytest.mark.parametrize("name", ["cornell_glossy", "four_shapes", "mirror_room"])
 def test_no_test_view_was_trained_on(name, train, near):
-    from prt.bench.build import build as make
-
-    scene: Scene = make(compose([f"scene={name}"]), "scene")
+    scene: Scene = build_group(compose([f"scene={name}"]), "scene")
 
     def poses(views):
         return torch.tensor([[*view.origin, *view.target] for view in views])
@@ -183,7 +184,13 @@ def test_what_determines_the_content_makes_another_cache_entry(maps, tmp_path, m
 
     assert entries() == entries() == 1
     for number, change in enumerate(
-        ["task.train_spp=3", "task.seed=1", "scene.floor_roughness=0.3", "scene.max_depth=3", "task.resolution=4"]
+        [
+            "task.train_spp=3",
+            "task.seed=1",
+            "scene.floor_roughness=0.3",
+            "scene.max_depth=3",
+            "task.resolution=4",
+        ]
     ):
         assert entries(change) == number + 2, change
     assert entries("lighting.train_count=2") == 6  # a record serves all lightings
@@ -194,10 +201,14 @@ def test_what_determines_the_content_makes_another_cache_entry(maps, tmp_path, m
 # ---- error split
 
 
-def untrained(task, wavelets: int, selection: str = "magnitude") -> WaveletNeural:
-    training = {"draw": "uniform", "target": "full"}
-    grid = dict(levels=2, features=2, log2_table=8, base_resolution=4, scale=1.5)
-    method = WaveletNeural(wavelets, selection, grid, 8, 2, True, training)
+def untrained(task, wavelets: int) -> WaveletNeural:
+    settings = [
+        *tiny.TASK,
+        "method=wavelet_neural",
+        f"method.wavelets={wavelets}",
+        "method.selection=magnitude",
+    ]
+    method = build_group(compose(settings), "method")
     torch.manual_seed(0)
     method.build(task.training().bounds, task.resolution, torch.ones(ALL), "cpu")
     return method

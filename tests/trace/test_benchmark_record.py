@@ -6,6 +6,7 @@ from trace_scenes import CORNER_VIEW, glossy_corner, lightings
 from prt.errors import PrtError
 from prt.trace.benchmark_record import benchmark, deviations, ratio_of_means
 
+
 class Lights:
     """An environment set of three training lightings and two tests."""
 
