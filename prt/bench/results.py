@@ -92,7 +92,7 @@ def direction_of(metric: str) -> str:
     """
     if is_cost(metric):
         return "lower"
-    if metric == BAD_PIXELS:
+    if metric in (BAD_PIXELS, "ratio/error"):
         return "lower"
     if metric == NOISE_FLOOR or metric.startswith(("ratio/", "paths/")):
         return "higher"
