@@ -241,24 +241,18 @@ class WaveletNeural:
         return torch.einsum("nkc,kc->nc", coefficients, code.value)
 
     def shade_folded(self, position: Tensor, features: Tensor, code: WaveletCode) -> Float[Tensor, "N 3"]:
-        """The same with the first layer folded per light and the last layer applied after the sum over k."""
-        net, last = self.net, self.net.mlp.layers[2]
-        space = net.grid(position)
-        if self.precision == "bfloat16":
-            hidden = self.hidden_bfloat16(space, features, code)
-        else:
-            hidden = net.hidden(space, features, code.folded)
-        hidden = hidden.view(len(position), len(code.index), -1)
-        summed = torch.matmul(code.weight.T.to(hidden.dtype), hidden).float()
-        return torch.einsum("nch,ch->nc", summed, last.weight) + last.bias * code.weight.sum(dim=0)
+        """The same with the first layer folded per light and the last layer applied after the sum over k.
 
-    def hidden_bfloat16(self, space: Tensor, features: Tensor, code: WaveletCode) -> Tensor:
-        """:meth:`WaveletTransport.hidden` with its two matrix products in bfloat16."""
-        net, second = self.net, self.net.mlp.layers[1]
-        first = (space.bfloat16() @ code.folded).view(len(space), -1, net.width)
-        first = torch.relu_(first + net.per_pixel(features).bfloat16()[:, None, :])
-        weight, bias = second.weight.bfloat16(), second.bias.bfloat16()
-        return torch.relu_(torch.addmm(bias, first.view(-1, net.width), weight.T))
+        The two large products run in the precision of the code; everything after them is done in place.
+        """
+        net, (_, second, last) = self.net, self.net.mlp.layers
+        kind, pixels = code.folded.dtype, len(position)
+        first = (net.grid(position).to(kind) @ code.folded).view(pixels, -1, net.width)
+        first.add_(net.per_pixel(features).to(kind)[:, None, :]).relu_()
+        hidden = torch.addmm(second.bias.to(kind), first.view(-1, net.width), second.weight.T.to(kind))
+        hidden = hidden.relu_().view(pixels, -1, net.width)
+        summed = torch.matmul(code.weight.T.to(kind), hidden).float()
+        return torch.einsum("nch,ch->nc", summed, last.weight) + last.bias * code.weight.sum(dim=0)
 
     # ---- storage
 
