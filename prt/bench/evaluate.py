@@ -86,18 +86,12 @@ def row(item: Any, component: str, flag: bool, metric: str, value: float) -> Row
     return *key(item), component, "true" if flag else "false", metric, repr(float(value))
 
 
-def guides(gbuffer: GBuffer) -> dict[str, Float[Tensor, "H W 3"]]:
-    """What guides the denoiser: the colours and the normals of the G-buffer."""
-    albedo = (gbuffer.diffuse + gbuffer.specular).clamp(0, 1)
-    return {"albedo": gbuffer.image(albedo), "normal": gbuffer.image(gbuffer.normal)}
-
-
 def denoised(image: Float[Tensor, "H W 3"], gbuffer: GBuffer) -> Float[Tensor, "H W 3"]:
     """Open Image Denoise with guides; pixels that were not finite stay so, that no metric misses them."""
     from prt.trace.denoise import denoise
 
     bad = ~image.isfinite().all(dim=-1, keepdim=True)
-    clean = denoise(torch.where(bad, torch.zeros_like(image), image), **guides(gbuffer))
+    clean = denoise(torch.where(bad, torch.zeros_like(image), image), **gbuffer.guides())
     return torch.where(bad, torch.full_like(clean, torch.nan), clean)
 
 

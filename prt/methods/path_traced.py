@@ -102,9 +102,7 @@ class PathTraced:
         depth = self.scene.max_depth
         image = render(self.scene, gbuffer.view, code, self.samples, depth, self.seed)["indirect"]
         if self.denoise:
-            guides = gbuffer.to("cpu")
-            albedo = guides.image((guides.diffuse + guides.specular).clamp(0, 1))
-            image = denoise(image, albedo=albedo, normal=guides.image(guides.normal))
+            image = denoise(image, **gbuffer.to("cpu").guides())
         return image.reshape(-1, 3)[gbuffer.hit.cpu()]
 
     # ---- storage

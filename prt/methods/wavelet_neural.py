@@ -152,9 +152,7 @@ class WaveletNeural:
             k = self.draw_wavelets(coefficients[which], generator)
             kept = coefficients[which][:, k]
             if settings["target"] == "truncated":
-                cut = torch.zeros_like(coefficients[which])
-                cut[:, k] = kept
-                seen = haar.inverse(cut.view(-1, 6, self.resolution, self.resolution, 3)).flatten(1, 3)
+                seen = haar.inverse(haar.keep_only(coefficients[which], k.expand(len(which), -1)))
             else:
                 seen = lightings[which]
             target = radiance(data.transport, chosen, seen).to(device)
@@ -206,21 +204,22 @@ class WaveletNeural:
                 f"the lighting has {lighting.shape[1]} texels a side, the model {self.resolution}; "
                 f"set task.resolution={self.resolution}"
             )
-        values = haar.forward(lighting.to(self.device)).reshape(-1, 3)
-        index = haar.top_k(values, min(self.wavelets, len(values)), self.selection, self.sigma)
+        values, index = self.select(lighting)
         kept = values[index]
         folded = self.net.fold(index)
         if self.precision == "bfloat16":
             folded = folded.bfloat16()
         return WaveletCode(index, kept, folded, kept * self.net.scale[index][:, None])
 
+    def select(self, lighting: Float[Tensor, "6 R R 3"]) -> tuple[Float[Tensor, "T 3"], Int[Tensor, "K"]]:
+        """All coefficients of a lighting, and which of them are kept."""
+        values = haar.forward(lighting.to(self.device)).reshape(-1, 3)
+        return values, haar.top_k(values, min(self.wavelets, len(values)), self.selection, self.sigma)
+
     def truncated(self, lighting: Float[Tensor, "6 R R 3"]) -> Float[Tensor, "6 R R 3"]:
         """The lighting that :meth:`light` keeps, for the error split."""
-        values = haar.forward(lighting.to(self.device)).reshape(-1, 3)
-        index = haar.top_k(values, min(self.wavelets, len(values)), self.selection, self.sigma)
-        cut = torch.zeros_like(values)
-        cut[index] = values[index]
-        return haar.inverse(cut.view(lighting.shape)).to(lighting.device)
+        values, index = self.select(lighting)
+        return haar.inverse(haar.keep_only(values, index)).view(lighting.shape).to(lighting.device)
 
     @torch.no_grad()
     def shade(self, gbuffer: GBuffer, code: WaveletCode, v: Tensor | None = None) -> Float[Tensor, "N 3"]:

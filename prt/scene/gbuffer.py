@@ -58,6 +58,20 @@ class GBuffer:
         out[self.hit.to(values.device)] = values
         return out.reshape(self.view.height, self.view.width, values.shape[1])
 
+    def guides(self) -> dict[str, Float[Tensor, "H W 3"]]:
+        """What guides a denoiser: images of the colours and of the normals."""
+        albedo = (self.diffuse + self.specular).clamp(0, 1)
+        return {"albedo": self.image(albedo), "normal": self.image(self.normal)}
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Everything but the view, for a file; :meth:`from_tensors` reads it back."""
+        return {f"gbuffer.{name}": getattr(self, name) for name in (*self.FIELDS, "hit")}
+
+    @staticmethod
+    def from_tensors(tensors: dict[str, Tensor], view: View | None) -> "GBuffer":
+        """The inverse of :meth:`tensors`; other entries are left alone."""
+        return GBuffer(**{name: tensors[f"gbuffer.{name}"] for name in (*GBuffer.FIELDS, "hit")}, view=view)
+
     @staticmethod
     def concatenate(parts: list["GBuffer"]) -> "GBuffer":
         """The points of several G-buffers one after the other."""

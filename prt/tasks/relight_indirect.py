@@ -200,14 +200,13 @@ class RelightIndirect:
             transport = record(
                 self.mitsuba_scene, view, spp, self.scene.max_depth, self.resolution, seed, prior=prior
             )
-            tensors = {f"gbuffer.{name}": getattr(gbuffer, name) for name in (*GBuffer.FIELDS, "hit")}
-            return tensors | {
+            return gbuffer.tensors() | {
                 f"transport.{name}": getattr(transport, name)
                 for name in ("offsets", "texel", "weight", "bounces")
             }
 
         found = cached("transport", TRANSPORT_VERSION, settings, build)
-        gbuffer = GBuffer(**{name: found[f"gbuffer.{name}"] for name in (*GBuffer.FIELDS, "hit")}, view=view)
+        gbuffer = GBuffer.from_tensors(found, view)
         parts = {name: found[f"transport.{name}"] for name in ("offsets", "texel", "weight", "bounces")}
         return gbuffer, Transport(self.resolution, **parts)
 
@@ -252,7 +251,7 @@ class RelightIndirect:
         found = cached(
             "reference", REFERENCE_VERSION, settings, lambda: self.render_references(view, lighting)
         )
-        gbuffer = GBuffer(**{name: found[f"gbuffer.{name}"] for name in (*GBuffer.FIELDS, "hit")}, view=view)
+        gbuffer = GBuffer.from_tensors(found, view)
         references = {
             name: (found[f"{name}.0"] + found[f"{name}.1"]) / 2 for name in ("full", "indirect", "direct")
         }
@@ -268,11 +267,7 @@ class RelightIndirect:
     def render_references(self, view: View, lighting: Tensor) -> dict[str, Tensor]:
         """Two independent halves of the reference, and the direct light with a third seed."""
         gbuffer = capture(self.mitsuba_scene, view)
-        guides = {
-            "albedo": gbuffer.image(gbuffer.diffuse + gbuffer.specular).clamp(0, 1),
-            "normal": gbuffer.image(gbuffer.normal),
-        }
-        found = {f"gbuffer.{name}": getattr(gbuffer, name) for name in (*GBuffer.FIELDS, "hit")}
+        guides, found = gbuffer.guides(), gbuffer.tensors()
         for half in (0, 1):
             seed = 1000 + 2 * self.seed + half
             images = render(
