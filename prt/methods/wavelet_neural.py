@@ -60,7 +60,8 @@ class WaveletNeural:
         wavelets: K, lighting coefficients kept when rendering.
         selection: how K are chosen: by ``magnitude`` |L_k|, by ``area`` (Ng 2003), or by ``transport``
             |L_k| sigma_k.
-        grid: levels, features, log2_table, base_resolution, level_scale of S (Mueller 2022).
+        grid: levels, features, log2_table, base_resolution, scale of S (Mueller 2022); with ``finest_pixels``
+            the growth per level is not ``scale`` but follows from the finest cell's width in training pixels.
         width: neurons in each of the two hidden layers of f.
         sh_degree: largest SH band of the reflected direction.
         scale_outputs: predict T_k / sigma_k instead of T_k.
@@ -101,7 +102,11 @@ class WaveletNeural:
             raise PrtError(f"method.texture={texture!r} is not one of shared, independent")
         if wavelets < 1:
             raise PrtError(f"method.wavelets={wavelets} must be at least 1")
-        self.wavelets, self.selection, self.grid_settings = wavelets, selection, dict(grid)
+        grid = dict(grid)
+        self.finest_pixels = grid.pop("finest_pixels", None)
+        if self.finest_pixels is not None and not self.finest_pixels > 0:
+            raise PrtError(f"method.grid.finest_pixels={self.finest_pixels} must be above 0, or null")
+        self.wavelets, self.selection, self.grid_settings = wavelets, selection, grid
         self.width, self.sh_degree, self.scale_outputs = width, sh_degree, scale_outputs
         self.texture = texture
         self.training, self.precision, self.folded, self.chunk = training, precision, folded, chunk
@@ -124,6 +129,9 @@ class WaveletNeural:
         torch.manual_seed(seed)
         generator = torch.Generator().manual_seed(seed)
         sigma = wavelet_scale(data.transport, data.gbuffer)
+        if self.finest_pixels is not None:
+            width = self.finest_pixels * data.pixel_size
+            self.grid_settings["scale"] = level_growth(self.grid_settings, data.bounds, width)
         self.build(data.bounds, task.resolution, sigma, device)
         net, rates = self.net, settings["rates"]
         optimiser = torch.optim.Adam(
@@ -264,12 +272,27 @@ class WaveletNeural:
         save_file(
             {**state, "sigma": self.sigma.cpu().clone()},
             path,
-            metadata={"resolution": str(self.resolution), "bounds": json.dumps(self.bounds)},
+            metadata={
+                "resolution": str(self.resolution),
+                "bounds": json.dumps(self.bounds),
+                "scale": json.dumps(self.grid_settings["scale"]),
+            },
         )
 
     def load(self, path: Path, task: Any, device: str) -> None:
         with safe_open(path, "pt") as file:
             resolution, bounds = int(file.metadata()["resolution"]), json.loads(file.metadata()["bounds"])
+            self.grid_settings["scale"] = json.loads(file.metadata()["scale"])
         state = load_file(path)
         self.build(bounds, resolution, state.pop("sigma"), device)
         self.net.load_state_dict(state)
+
+
+def level_growth(grid: dict[str, Any], bounds: tuple[list[float], list[float]], width: float) -> float:
+    """Growth per level with which the finest cells of a hash grid are ``width`` wide (world units).
+
+    Never below 1: where even the coarsest cells are narrower, all levels are as coarse as the coarsest.
+    """
+    extent = max(high - low for low, high in zip(*bounds, strict=True))
+    ratio = extent / (width * grid["base_resolution"])
+    return max(1.0, ratio) ** (1 / max(1, grid["levels"] - 1))

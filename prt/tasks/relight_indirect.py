@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import hashlib
+import math
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,13 @@ class Training:
     def bounds(self) -> tuple[list[float], list[float]]:
         """Corners of the box of all training points: what is seen of the scene, not all of its ground."""
         return self.gbuffer.position.amin(dim=0).tolist(), self.gbuffer.position.amax(dim=0).tolist()
+
+    @functools.cached_property
+    def pixel_size(self) -> float:
+        """Median width of a training pixel at its point, across the line of sight, in world units."""
+        origins = torch.tensor([view.origin for view in self.views])[self.point_view]
+        widths = torch.tensor([2 * math.tan(math.radians(v.fov) / 2) / v.width for v in self.views])
+        return float(((self.gbuffer.position - origins).norm(dim=1) * widths[self.point_view]).median())
 
 
 @dataclasses.dataclass

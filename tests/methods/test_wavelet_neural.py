@@ -5,7 +5,7 @@ import torch
 
 from prt.errors import PrtError
 from prt.light import haar
-from prt.methods.wavelet_neural import WaveletNeural
+from prt.methods.wavelet_neural import WaveletNeural, level_growth
 from prt.scene.gbuffer import GBuffer
 
 RESOLUTION = 8
@@ -127,6 +127,32 @@ def test_drawn_wavelets_are_distinct_and_hold_the_largest(built):
     strength = coefficients.square().sum(dim=2) * built.sigma.square()
     for row in strength:
         assert set(row.argsort(descending=True)[:4].tolist()) <= set(drawn.tolist())
+
+
+def test_the_finest_cells_get_the_width_asked_for():
+    grid = dict(levels=4, features=2, log2_table=10, base_resolution=4)
+    growth = level_growth(grid, ([0.0, 0.0, 0.0], [8.0, 4.0, 1.0]), 0.25)
+    assert grid["base_resolution"] * growth**3 == pytest.approx(8.0 / 0.25)
+    assert level_growth(grid, ([0.0] * 3, [1.0] * 3), 10.0) == 1.0
+    assert level_growth({**grid, "levels": 1}, ([0.0] * 3, [1.0] * 3), 0.1) > 1
+
+
+def test_a_width_of_nothing_is_refused():
+    with pytest.raises(PrtError, match="finest_pixels=0"):
+        make(grid=dict(levels=2, features=2, log2_table=8, base_resolution=4, scale=1.5, finest_pixels=0))
+
+
+def test_a_model_remembers_the_growth_of_its_grid(built, tmp_path):
+    built.grid_settings["scale"] = 1.25
+    built.build(built.bounds, RESOLUTION, built.sigma, "cpu")
+    built.save(tmp_path / "model.safetensors")
+    again = make()
+    again.load(tmp_path / "model.safetensors", None, "cpu")
+    gbuffer = random_gbuffer(20)
+    assert torch.equal(
+        again.shade(gbuffer, again.light(random_lighting())),
+        built.shade(gbuffer, built.light(random_lighting())),
+    )
 
 
 def test_empty_view_gives_no_radiance(built):

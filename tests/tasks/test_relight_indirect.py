@@ -1,5 +1,7 @@
 """The task on the real scene at a size of seconds: its data, its splits, its caches, its error split."""
 
+import dataclasses
+import math
 import types
 import warnings
 
@@ -54,6 +56,31 @@ def test_training_points_carry_their_transport(tiny_task):
         towards = torch.tensor(data.views[number].origin) - data.gbuffer.position[mine]
         towards = torch.nn.functional.normalize(towards, dim=1)
         assert torch.allclose(towards, data.gbuffer.wo[mine], atol=1e-4)
+
+
+def test_pixel_size_is_the_distance_between_neighbouring_pixels_that_face_the_camera(tiny_task):
+    """A plane seen head-on: all neighbouring points lie one pixel width apart."""
+    data = tiny_task.training()
+    view = dataclasses.replace(data.views[0], origin=(0.0, 0.0, 4.0), target=(0.0, 0.0, 0.0), fov=40.0)
+    width = 2 * 4 * math.tan(math.radians(20)) / view.width
+    x = (torch.arange(view.width) - (view.width - 1) / 2) * width
+    plane = torch.stack([x, torch.zeros_like(x), torch.zeros_like(x)], dim=1)
+    gbuffer = dataclasses.replace(data.gbuffer, position=plane)
+    flat = dataclasses.replace(
+        data, gbuffer=gbuffer, views=[view], point_view=torch.zeros(len(plane), dtype=torch.long)
+    )
+    neighbours = (plane[1:] - plane[:-1]).norm(dim=1).median()
+    # towards the edge of the image a pixel is a little farther away
+    assert neighbours <= flat.pixel_size < 1.1 * neighbours
+
+
+def test_a_grid_sized_by_training_pixels_has_cells_of_that_width(tiny_task, maps):
+    settings = ["method=wavelet_neural", "method.grid.finest_pixels=1.5", "method.training.steps=1"]
+    method = build_group(compose([*tiny.TASK, *tiny.lights(maps), *settings]), "method")
+    method.fit(tiny_task, tiny.Log(), 0, "cpu")
+    width = 1 / float(method.net.grid.per_unit.max())
+    # the finest level has a whole number of cells
+    assert width == pytest.approx(1.5 * tiny_task.training().pixel_size, rel=0.1)
 
 
 def test_recorded_training_radiance_is_that_of_the_renderer(tiny_task):
