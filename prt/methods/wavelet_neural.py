@@ -281,8 +281,10 @@ class WaveletNeural:
 
     def load(self, path: Path, task: Any, device: str) -> None:
         with safe_open(path, "pt") as file:
-            resolution, bounds = int(file.metadata()["resolution"]), json.loads(file.metadata()["bounds"])
-            self.grid_settings["scale"] = json.loads(file.metadata()["scale"])
+            stored = file.metadata()
+        resolution, bounds = int(stored["resolution"]), json.loads(stored["bounds"])
+        if "scale" in stored:  # models stored before finest_pixels have the configured one
+            self.grid_settings["scale"] = json.loads(stored["scale"])
         state = load_file(path)
         self.build(bounds, resolution, state.pop("sigma"), device)
         self.net.load_state_dict(state)
