@@ -51,7 +51,7 @@ class Training:
         """Corners of the box of all training points: what is seen of the scene, not all of its ground."""
         return self.gbuffer.position.amin(dim=0).tolist(), self.gbuffer.position.amax(dim=0).tolist()
 
-    @functools.cached_property
+    @property
     def pixel_size(self) -> float:
         """Median width of a training pixel at its point, across the line of sight, in world units."""
         origins = torch.tensor([view.origin for view in self.views])[self.point_view]

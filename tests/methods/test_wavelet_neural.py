@@ -2,6 +2,8 @@
 
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
 
 from prt.errors import PrtError
 from prt.light import haar
@@ -153,6 +155,16 @@ def test_a_model_remembers_the_growth_of_its_grid(built, tmp_path):
         again.shade(gbuffer, again.light(random_lighting())),
         built.shade(gbuffer, built.light(random_lighting())),
     )
+
+
+def test_a_model_stored_without_the_growth_has_the_configured_one(built, tmp_path):
+    built.save(tmp_path / "model.safetensors")
+    with safe_open(tmp_path / "model.safetensors", "pt") as file:
+        stored = {name: value for name, value in file.metadata().items() if name != "scale"}
+    save_file(load_file(tmp_path / "model.safetensors"), tmp_path / "old.safetensors", metadata=stored)
+    again = make()
+    again.load(tmp_path / "old.safetensors", None, "cpu")
+    assert torch.equal(again.net.grid.per_unit, built.net.grid.per_unit)
 
 
 def test_empty_view_gives_no_radiance(built):
