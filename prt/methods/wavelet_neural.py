@@ -13,6 +13,7 @@ by it (``selection``, ``draw``), and a step trains several lightings cut to the 
 
 import dataclasses
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -88,7 +89,7 @@ class WaveletNeural:
         training: dict[str, Any],
         precision: Literal["float32", "bfloat16"] = "float32",
         folded: bool = True,
-        chunk: int = 256,
+        chunk: int = 128,
     ):
         if selection not in SELECTIONS:
             raise PrtError(f"method.selection={selection!r} is not one of {', '.join(SELECTIONS)}")
@@ -149,6 +150,7 @@ class WaveletNeural:
         coefficients = haar.forward(lightings.view(-1, 6, self.resolution, self.resolution, 3)).flatten(1, 3)
         # the share of the image that a wavelet is expected to carry, over lightings and places
         self.draw_weights = coefficients.square().mean(dim=(0, 2)).sqrt() * sigma
+        precision = torch.bfloat16 if settings["precision"] == "bfloat16" else torch.float32
         surface = net.features(data.gbuffer)
         positions = data.gbuffer.position.to(device)
         # on the CPU the corners of a point cost more than the look-up; on a GPU they cost memory only
@@ -165,10 +167,7 @@ class WaveletNeural:
                 seen = lightings[which]
             target = radiance(data.transport, chosen, seen).to(device)
             space = net.grid(positions[chosen]) if corners is None else net.grid.lookup(corners.rows(chosen))
-            with torch.autocast(
-                torch.device(device).type, torch.bfloat16, enabled=settings["precision"] == "bfloat16"
-            ):
-                predicted = net.coefficients(space, surface[chosen].to(device), k.to(device)).float()
+            predicted = net.coefficients(space, surface[chosen].to(device), k.to(device), precision)
             image = torch.einsum("pkc,lkc->lpc", predicted, kept.to(device))
             return image_loss(image, target, settings["loss"], settings["mu"], settings["epsilon"])
 
@@ -194,9 +193,8 @@ class WaveletNeural:
         strength = coefficients.square().sum(dim=2)
         if self.selection == "transport":
             strength = strength * self.sigma.cpu().square()
-        ranks = strength.argsort(dim=1, descending=True)[:, :largest]
         mine = largest // len(coefficients) + 1
-        chosen = torch.unique(ranks[:, :mine])[:largest]
+        chosen = torch.unique(strength.topk(min(mine, total), dim=1).indices)[:largest]
         weights = self.draw_weights.clone() if self.training["draw"] == "transport" else torch.ones(total)
         weights[chosen] = 0
         rest = torch.multinomial(weights, count - len(chosen), generator=generator)
@@ -232,34 +230,47 @@ class WaveletNeural:
     @torch.no_grad()
     def shade(self, gbuffer: GBuffer, code: WaveletCode, v: Tensor | None = None) -> Float[Tensor, "N 3"]:
         """Indirect radiance (Algorithm 1, lines 4 to 9)."""
-        render = self.shade_folded if self.folded else self.shade_readable
-        parts = [torch.zeros((0, 3))]
         gbuffer = gbuffer.to(self.device)
-        for start in range(0, len(gbuffer), self.chunk):
-            rows = slice(start, start + self.chunk)
-            parts.append(
-                render(gbuffer.position[rows], self.net.features(gbuffer.rows(rows)), code).float().cpu()
-            )
-        return torch.cat(parts)
+        render = self.shade_folded if self.folded else self.shade_readable
+        return render(gbuffer.position, self.net.features(gbuffer), code).cpu()
 
-    def shade_readable(self, position: Tensor, features: Tensor, code: WaveletCode) -> Float[Tensor, "N 3"]:
+    def shade_readable(
+        self, position: Float[Tensor, "N 3"], features: Float[Tensor, "N F"], code: WaveletCode
+    ) -> Float[Tensor, "N 3"]:
         """B = sum_k L_k T_k with T_k evaluated as printed."""
-        coefficients = self.net.coefficients_readable(position, features, code.index)
-        return torch.einsum("nkc,kc->nc", coefficients, code.value)
+        out = position.new_zeros((len(position), 3))
+        for rows in self.chunks(len(position)):
+            coefficients = self.net.coefficients_readable(position[rows], features[rows], code.index)
+            out[rows] = torch.einsum("nkc,kc->nc", coefficients, code.value)
+        return out
 
-    def shade_folded(self, position: Tensor, features: Tensor, code: WaveletCode) -> Float[Tensor, "N 3"]:
+    def shade_folded(
+        self, position: Float[Tensor, "N 3"], features: Float[Tensor, "N F"], code: WaveletCode
+    ) -> Float[Tensor, "N 3"]:
         """The same with the first layer folded per light and the last layer applied after the sum over k.
 
-        The two large products run in the precision of the code; everything after them is done in place.
+        The two large products run in the precision of the code. Their results go to two buffers that every
+        chunk of pixels reuses: small enough to stay in cache, and never allocated anew.
         """
         net, (_, second, last) = self.net, self.net.mlp.layers
-        kind, pixels = code.folded.dtype, len(position)
-        first = (net.grid(position).to(kind) @ code.folded).view(pixels, -1, net.width)
-        first.add_(net.per_pixel(features).to(kind)[:, None, :]).relu_()
-        hidden = torch.addmm(second.bias.to(kind), first.view(-1, net.width), second.weight.T.to(kind))
-        hidden = hidden.relu_().view(pixels, -1, net.width)
-        summed = torch.matmul(code.weight.T.to(kind), hidden).float()
-        return torch.einsum("nch,ch->nc", summed, last.weight) + last.bias * code.weight.sum(dim=0)
+        kind, wavelets, width = code.folded.dtype, len(code.index), net.width
+        space, per_pixel = net.grid(position).to(kind), net.per_pixel(features).to(kind)
+        weight, bias, light = second.weight.T.to(kind), second.bias.to(kind), code.weight.T.to(kind)
+        size = min(self.chunk, len(position)) * wavelets
+        first, hidden = space.new_empty((2, size, width))
+        summed = space.new_empty((len(position), 3, width))
+        for rows in self.chunks(len(position)):
+            pixels = len(space[rows])
+            a, b = first[: pixels * wavelets], hidden[: pixels * wavelets]
+            torch.mm(space[rows], code.folded, out=a.view(pixels, -1))
+            a.view(pixels, wavelets, width).add_(per_pixel[rows, None, :]).relu_()
+            torch.addmm(bias, a, weight, out=b)
+            torch.matmul(light, b.relu_().view(pixels, wavelets, width), out=summed[rows])
+        return torch.einsum("nch,ch->nc", summed.float(), last.weight) + last.bias * code.weight.sum(dim=0)
+
+    def chunks(self, pixels: int) -> Iterator[slice]:
+        """The pixels of a frame in parts of ``chunk``."""
+        return (slice(start, start + self.chunk) for start in range(0, pixels, self.chunk))
 
     # ---- storage
 

@@ -1,5 +1,6 @@
 """Multiresolution hash encoding of positions (Mueller et al. 2022), fast on CPU and GPU as plain torch."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -13,6 +14,8 @@ from prt.errors import PrtError
 #: Mueller et al. 2022, equation 4
 PRIMES = (1, 2654435761, 805459861)
 INITIAL = 1e-4
+#: points whose corners are computed at a time on the CPU: their arrays stay in cache
+BLOCK = 4096
 
 
 class Corners(NamedTuple):
@@ -91,7 +94,8 @@ class HashGrid(torch.nn.Module):
         self.register_buffer("high", high.float(), persistent=False)
         self.register_buffer("per_unit", per_unit.float(), persistent=False)
         self.register_buffer("last_cell", torch.tensor(cells) - 1, persistent=False)
-        self.register_buffer("factors", torch.tensor(factors), persistent=False)
+        # modulo 2^32: only low bits are used
+        self.register_buffer("factors", torch.tensor(factors).to(torch.int32), persistent=False)
         self.register_buffer("offsets", torch.tensor(offsets, dtype=torch.int32), persistent=False)
         table = torch.empty((sum(rows), features)).uniform_(-INITIAL, INITIAL, generator=generator)
         self.table = torch.nn.Parameter(table)
@@ -118,22 +122,41 @@ class HashGrid(torch.nn.Module):
     @torch.no_grad()
     def corners(self, points: Float[Tensor, "N 3"]) -> Corners:
         """Rows and trilinear weights of the eight corners around each point at each level."""
-        count, dense = len(points), self.dense_levels
-        cell, place = self.cells(points)
-        along = torch.stack([1 - place, place], -1)  # (N, L, axis, side)
-        x, y, z = along.unbind(2)
-        weights = x[..., :, None, None] * y[..., None, :, None] * z[..., None, None, :]
-        # Masking each axis before the xor gives the same row as masking after it, and lets the large
-        # (N, L, 2, 2, 2) arrays be int32.
-        term = torch.stack([cell, cell + 1], -1) * self.factors[..., None]
-        term[:, dense:] &= self.table_rows - 1
-        x, y, z = term.int().unbind(2)
-        x, y, z = x[..., :, None, None], y[..., None, :, None], z[..., None, None, :]
-        indices = torch.empty(weights.shape, dtype=torch.int32, device=points.device)
-        torch.add(x[:, :dense] + y[:, :dense], z[:, :dense], out=indices[:, :dense])
-        torch.bitwise_xor(x[:, dense:] ^ y[:, dense:], z[:, dense:], out=indices[:, dense:])
-        indices += self.offsets[:, None, None, None]
-        return Corners(indices.view(count, self.levels, 8), weights.reshape(count, self.levels, 8))
+        count = len(points)
+        indices = torch.empty((count, self.levels, 8), dtype=torch.int32, device=points.device)
+        weights = points.new_empty((count, self.levels, 8))
+        block = BLOCK if points.device.type == "cpu" else max(count, 1)
+        for start in range(0, count, block):
+            rows = slice(start, start + block)
+            self._fill_corners(points[rows], indices[rows], weights[rows])
+        return Corners(indices, weights)
+
+    def _fill_corners(self, points: Tensor, indices: Tensor, weights: Tensor) -> None:
+        """:meth:`corners` of some points, written in place.
+
+        One long array per axis and side: loops over arrays whose last dimension is 2 are several times slower.
+        """
+        cell, place = (part.permute(2, 0, 1).contiguous() for part in self.cells(points))
+        near = cell.int() * self.factors.T[:, None]
+        far = near + self.factors.T[:, None]
+        # Masking each axis before the xor gives the same row as masking after it; products wrap around in
+        # int32, which changes no low bit.
+        for side in (near, far):
+            side[..., self.dense_levels :] &= self.table_rows - 1
+        terms, shares = (near, far), (1 - place, place)
+        for x, y in itertools.product((0, 1), repeat=2):
+            row_xy, share_xy = self._joined(terms[x][0], terms[y][1]), shares[x][0] * shares[y][1]
+            for z in (0, 1):
+                corner = 4 * x + 2 * y + z
+                torch.add(self._joined(row_xy, terms[z][2]), self.offsets, out=indices[..., corner])
+                torch.mul(share_xy, shares[z][2], out=weights[..., corner])
+
+    def _joined(self, a: Int[Tensor, "N L"], b: Int[Tensor, "N L"]) -> Int[Tensor, "N L"]:
+        """Partial row numbers of two axes as one: added at dense levels, xor at hashed ones."""
+        out, dense = torch.empty_like(a), self.dense_levels
+        torch.add(a[:, :dense], b[:, :dense], out=out[:, :dense])
+        torch.bitwise_xor(a[:, dense:], b[:, dense:], out=out[:, dense:])
+        return out
 
     def lookup(self, corners: Corners) -> Float[Tensor, "N LF"]:
         """Features from precomputed corners (any rows of them); differentiable in the table."""

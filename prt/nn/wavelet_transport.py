@@ -91,18 +91,31 @@ class WaveletTransport(nn.Module):
     def hidden(
         self, space: Float[Tensor, "N M"], features: Float[Tensor, "N F"], folded: Float[Tensor, "M KH"]
     ) -> Float[Tensor, "NK H"]:
-        """Activations of the last hidden layer for every pixel and wavelet, from the folded first layer."""
-        pixels = space.shape[0]
-        first = (space @ folded).view(pixels, -1, self.width)
-        first = torch.relu_(first + self.per_pixel(features)[:, None, :])
+        """Activations of the last hidden layer for every pixel and wavelet, from the folded first layer.
+
+        The large arrays have the precision of ``folded``.
+        """
+        kind, pixels = folded.dtype, space.shape[0]
+        first = (space.to(kind) @ folded).view(pixels, -1, self.width)
+        first = torch.relu_(first + self.per_pixel(features).to(kind)[:, None, :])
         second = self.mlp.layers[1]
-        return torch.relu(torch.addmm(second.bias, first.view(-1, self.width), second.weight.T))
+        return torch.relu_(
+            torch.addmm(second.bias.to(kind), first.view(-1, self.width), second.weight.T.to(kind))
+        )
 
     def coefficients(
-        self, space: Float[Tensor, "N M"], features: Float[Tensor, "N F"], k: Int[Tensor, "K"]
+        self,
+        space: Float[Tensor, "N M"],
+        features: Float[Tensor, "N F"],
+        k: Int[Tensor, "K"],
+        precision: torch.dtype = torch.float32,
     ) -> Float[Tensor, "N K 3"]:
-        """The same as :meth:`coefficients_readable` through the folded form; used in training."""
-        hidden = self.hidden(space, features, self.fold(k))
+        """The same as :meth:`coefficients_readable` through the folded form; used in training.
+
+        Args:
+            precision: of the matrix products and hidden activations; the result is float32.
+        """
+        hidden = self.hidden(space, features, self.fold(k).to(precision))
         last = self.mlp.layers[2]
-        out = torch.addmm(last.bias, hidden, last.weight.T).view(space.shape[0], len(k), 3)
-        return out.float() * self.scale[k][None, :, None]
+        out = torch.addmm(last.bias.to(precision), hidden, last.weight.T.to(precision))
+        return out.view(space.shape[0], len(k), 3).float() * self.scale[k][None, :, None]
