@@ -65,7 +65,8 @@ def by_budget(table: dict[str, Any], *, _root_: DictConfig) -> Any:
     name = _root_.budget.name
     if name not in table:
         raise PrtError(f"budget={name} has no value here; choose from {', '.join(table)}")
-    return table[name]
+    value = table[name]
+    return OmegaConf.create(value) if isinstance(value, list | dict) else value
 
 
 OmegaConf.register_new_resolver("by_budget", by_budget, replace=True)

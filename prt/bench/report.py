@@ -153,7 +153,7 @@ def describe(spec, plan: Layout, cells, results, verdicts, reasons, sheets, note
     ]
     if len(verdicts):
         parts += ["## Claims", claims_text(verdicts)]
-    parts += ["## How it was run", how(done) if done else "No run has finished yet."]
+    parts += ["## How it was run", how(done, spec.settings) if done else "No run has finished yet."]
     costs = [s for s in sheets if s.title in (layout.COST_TITLE, layout.ERROR_TITLE)]
     parts += [layout.to_markdown(sheet).strip() for sheet in costs]
     parts += ["## Noise floor of the references", floor_text(results, plan)]
@@ -193,8 +193,8 @@ def _cell(text: str) -> str:
     return str(text).replace("|", "\\|")
 
 
-def how(done: list[Cell]) -> str:
-    """Machine, code, and the settings that the finished runs share."""
+def how(done: list[Cell], of_methods: dict[str, list[str]]) -> str:
+    """Machine, code, the settings that the finished runs share, and those the table gives single methods."""
     seen = [cell.run.provenance() for cell in done]
 
     def every(key: str) -> str:
@@ -223,6 +223,7 @@ def how(done: list[Cell]) -> str:
         }
         text = ", ".join(f"{key} {value}" for key, value in shared.items() if not isinstance(value, dict))
         lines += [f"- {group}: {text}"] if text else []
+    lines += [f"- {method}: {', '.join(overrides)}" for method, overrides in of_methods.items()]
     return "\n".join(lines)
 
 

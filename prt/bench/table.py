@@ -8,6 +8,7 @@ A table's YAML (``experiments/<paper>/<table>.yaml``) holds only its differences
       method: [wavelet_neural, neural_prt]
       seed: [0]
     common: [lighting=hdri, budget=laptop]      # Hydra overrides of every run
+    settings: {neural_prt: [method.training.steps=5000]}    # of one method's runs; no variant
     columns: {metrics: [psnr, ssim], components: [full, indirect], splits: [far, near]}
     labels: {neural_prt: NPRT}
     published: published/table1.csv             # beside the YAML
@@ -68,6 +69,7 @@ class Spec:
     chart: dict[str, Any] = field(default_factory=dict)
     figure: dict[str, Any] = field(default_factory=dict)
     benchmark: dict[str, Any] = field(default_factory=dict)
+    settings: dict[str, list[str]] = field(default_factory=dict)
 
     @property
     def command(self) -> str:
@@ -75,8 +77,8 @@ class Spec:
 
 
 KEYS = (
-    "title", "about", "grid", "common", "columns", "labels", "published", "claims", "chart", "figure",
-    "benchmark", "without_data",
+    "title", "about", "grid", "common", "settings", "columns", "labels", "published", "claims", "chart",
+    "figure", "benchmark", "without_data",
 )  # fmt: skip
 PART_KEYS = {
     "without_data": ("grid", "common"),
@@ -158,7 +160,21 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
         content.get("about") or "", content.get("columns") or {}, content.get("labels") or {},
         path.parent / published if published else None,
         claims, content.get("chart") or {}, content.get("figure") or {}, benchmark,
+        method_settings(path, content.get("settings") or {}, grid.get("method", [])),
     )  # fmt: skip
+
+
+def method_settings(path: Path, given: dict[str, Any], methods: Sequence[str]) -> dict[str, list[str]]:
+    """The overrides of single methods; those of a method the command line left out are not needed."""
+    known = composer.choices("method")
+    for method in given:
+        if method not in known:
+            hint = composer.near(str(method), known)
+            raise PrtError(
+                f"{path}: settings names the method {method!r}{hint}; choose from {', '.join(known)}"
+            )
+    chosen = {value.split()[0] for value in methods}
+    return {name: [str(text) for text in _listed(given[name])] for name in given if name in chosen}
 
 
 def find(name: str) -> Path:
@@ -186,12 +202,15 @@ def grid_overrides(spec: Spec) -> list[tuple[list[str], str]]:
     for values in itertools.product(*(spec.grid[axis] for axis in axes)):
         variant: list[str] = []
         overrides: list[str] = []
+        of_method: list[str] = []
         for axis, value in zip(axes, values, strict=True):
             first, *extra = value.split()
+            of_method = spec.settings.get(first, []) if axis == "method" else of_method
             overrides.append(f"{axis}={first}")
             overrides += extra
             variant += [short(text) for text in ([] if axis in NAMED else [f"{axis}={first}"]) + extra]
-        found.append(([*spec.common, *overrides], ",".join(variant)))
+        # the command line's settings are in common and win
+        found.append(([*of_method, *spec.common, *overrides], ",".join(variant)))
     return found
 
 

@@ -21,6 +21,7 @@ from prt.errors import PrtError
 from prt.light.cubemap import from_equirect, mirror, rotate, yaw
 from prt.light.environments import CachedEnvironments
 from prt.light.image_file import SUFFIXES, read_image
+from prt.light.lamps import with_lamps
 from prt.light.sanitise import sanitise
 from prt.paths import data_file
 from prt.progress import track
@@ -42,6 +43,7 @@ class HdriFolders(CachedEnvironments):
         held_out: share of the maps of a training folder that is kept for testing.
         rotations: yaw angles in degrees of the training environments.
         mirror: also their mirror images.
+        lamps: further training environments with one lamp or sun added (``prt.light.lamps``).
         seed: of split and mixes.
         normalise, clamp, mend: see :class:`CachedEnvironments`.
 
@@ -60,6 +62,7 @@ class HdriFolders(CachedEnvironments):
         held_out: float = 0.2,
         rotations: Sequence[float] = (0, 120, 240),
         mirror: bool = True,
+        lamps: int = 0,
         seed: int = 0,
         normalise: bool = True,
         clamp: float | None = None,
@@ -70,6 +73,8 @@ class HdriFolders(CachedEnvironments):
             raise PrtError(f"lighting.train_count={train_count} must be at least 1, or null")
         if test_count < 1:
             raise PrtError(f"lighting.test_count={test_count} must be at least 1")
+        if lamps < 0:
+            raise PrtError(f"lighting.lamps={lamps} must be at least 0")
         if not 0 < held_out < 1:
             raise PrtError(f"lighting.held_out={held_out} must lie between 0 and 1")
         if not rotations:
@@ -78,6 +83,7 @@ class HdriFolders(CachedEnvironments):
         self.path = Path(path).expanduser() if path else None
         self.train_count, self.test_count, self.held_out = train_count, test_count, held_out
         self.rotations, self.mirror, self.seed = [float(x) for x in rotations], mirror, seed
+        self.lamps = lamps
 
     # ---- which maps
 
@@ -151,14 +157,16 @@ class HdriFolders(CachedEnvironments):
             path.stem + (f"_yaw{turn:g}" if turn else "") + ("_mirror" if side else "")
             for path, turn, side in self._variants
         ]
-        return (single + [f"mix{i:04d}" for i in range(self._mixes)])[: self.train_count]
+        single = (single + [f"mix{i:04d}" for i in range(self._mixes)])[: self.train_count]
+        return single + [f"lamp{i:04d}" for i in range(self.lamps)]
 
     def describe(self) -> str:
         turns = ", ".join(f"{turn:g}" for turn in self.rotations)
         count = min(len(self._variants), self.train_count or len(self._variants))
         return (
             f"{len(self.train_maps)} training maps turned by {turns} degrees{' and mirrored' * self.mirror}: "
-            f"{count} environments and {self._mixes} mixes of two; {len(self.test_maps)} test maps held out; "
+            f"{count} environments, {self._mixes} mixes of two and {self.lamps} with a lamp added; "
+            f"{len(self.test_maps)} test maps held out; "
             f"{'unit mean radiance' if self.normalise else 'own exposure'}"
         )
 
@@ -171,7 +179,7 @@ class HdriFolders(CachedEnvironments):
                 "rotations": self.rotations,
                 "mirror": self.mirror,
                 "seed": self.seed,
-            }
+            } | ({"lamps": self.lamps} if self.lamps else {})
         return content
 
     def build(self, split: str) -> Float[Tensor, "n 6 R R 3"]:
@@ -184,7 +192,8 @@ class HdriFolders(CachedEnvironments):
         for path, turn, side in self._variants:
             turned = rotate(source[path], yaw(turn)) if turn else source[path]
             singles.append(mirror(turned) if side else turned)
-        return torch.stack([*singles, *self._mixed(singles)][: self.train_count])
+        plain = torch.stack([*singles, *self._mixed(singles)][: self.train_count])
+        return torch.cat([plain, with_lamps(plain, self.lamps, self.seed)])
 
     def _read(self, path: Path) -> Float[Tensor, "6 R R 3"]:
         return from_equirect(sanitise(read_image(path), path.stem, self.mend), self.resolution)

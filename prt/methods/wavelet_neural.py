@@ -34,6 +34,7 @@ from prt.methods.training import (
     radiance,
     warm_up_then_cosine,
 )
+from prt.methods.wavelet_gain import wavelet_gain
 from prt.nn.hashgrid import HashGrid
 from prt.nn.wavelet_texture import WaveletTexture
 from prt.nn.wavelet_transport import WaveletTransport
@@ -68,7 +69,8 @@ class WaveletNeural:
         scale_outputs: predict T_k / sigma_k instead of T_k.
         texture: W, one vector a wavelet (``independent``, the paper's) or partly ``shared`` by neighbours.
         training: steps, pixels, wavelets, largest_share, draw, lightings, target, loss, mu, epsilon, rates
-            (grid, wavelet, mlp), average, strategies.
+            (grid, wavelet, mlp), average, gain_points (training points that every wavelet's output is
+            calibrated on after fitting, 0 for none: ``prt.methods.wavelet_gain``), strategies.
         precision: arithmetic of ``shade``: ``float32`` or ``bfloat16`` (the latter for the hidden layers).
         folded: shade through the folded form; the readable one (Algorithm 1 as printed) is the reference.
         chunk: pixels shaded at a time; bounds memory and keeps activations in cache.
@@ -183,6 +185,10 @@ class WaveletNeural:
             warm_up_then_cosine(),
             average,
         )
+        if settings["gain_points"]:
+            gain = wavelet_gain(net, data, settings["gain_points"], generator, precision).to(device)
+            net.scale = net.scale * gain  # not in place: it may be the same tensor as sigma
+            self.sigma = self.sigma * gain
 
     def draw_wavelets(
         self, coefficients: Float[Tensor, "L T 3"], generator: torch.Generator

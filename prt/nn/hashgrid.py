@@ -134,7 +134,7 @@ class HashGrid(torch.nn.Module):
     def _fill_corners(self, points: Tensor, indices: Tensor, weights: Tensor) -> None:
         """:meth:`corners` of some points, written in place.
 
-        One long array per axis and side: loops over arrays whose last dimension is 2 are several times slower.
+        One long array per axis and side: loops over a last dimension of 2 are several times slower.
         """
         cell, place = (part.permute(2, 0, 1).contiguous() for part in self.cells(points))
         near = cell.int() * self.factors.T[:, None]

@@ -11,6 +11,7 @@ from torch import Tensor
 from prt.errors import PrtError
 from prt.light.cubemap import face_directions, rotate, yaw
 from prt.light.environments import CachedEnvironments
+from prt.light.lamps import with_lamps
 from prt.progress import track
 from prt.scene.mitsuba_setup import mitsuba
 from prt.trace.denoise import denoise as denoise_image
@@ -28,6 +29,7 @@ class ProceduralEnvironments(CachedEnvironments):
         resolution: R of the cubemaps.
         train_rooms, train_skies, test_rooms, test_skies: how many of each.
         rotations: yaw angles in degrees of the training environments (Raghavan 2023, section 5).
+        lamps: further training environments with one lamp or sun added (``prt.light.lamps``).
         spp: path samples a texel of a room.
         max_depth: surface bounces in a room.
         denoise: remove the noise left in the rooms (Open Image Denoise).
@@ -46,6 +48,7 @@ class ProceduralEnvironments(CachedEnvironments):
         test_rooms: int = 4,
         test_skies: int = 4,
         rotations: Sequence[float] = (0, 120, 240),
+        lamps: int = 0,
         spp: int = 36,
         max_depth: int = 5,
         denoise: bool = True,
@@ -66,13 +69,15 @@ class ProceduralEnvironments(CachedEnvironments):
                 raise PrtError(f"lighting.{name}={count} must be from 0 to {TEST_SEEDS - 1}")
         if train_rooms + train_skies < 1 or test_rooms + test_skies < 1:
             raise PrtError("lighting: at least one room or sky is needed for training and one for testing")
+        if lamps < 0:
+            raise PrtError(f"lighting.lamps={lamps} must be at least 0")
         if spp < 1 or max_depth < 1:
             raise PrtError(f"lighting.spp={spp} and lighting.max_depth={max_depth} must be at least 1")
         if not rotations:
             raise PrtError("lighting.rotations is empty; give [0] for no rotation")
         self.rooms = {"train": train_rooms, "test": test_rooms}
         self.skies = {"train": train_skies, "test": test_skies}
-        self.rotations = [float(x) for x in rotations]
+        self.rotations, self.lamps = [float(x) for x in rotations], lamps
         self.spp, self.max_depth, self.denoise, self.seed = spp, max_depth, denoise, seed
 
     def seeds(self, split: str, count: int) -> list[int]:
@@ -85,12 +90,14 @@ class ProceduralEnvironments(CachedEnvironments):
         single = [f"room{mark}{i:02d}" for i in range(self.rooms[split])]
         single += [f"sky{mark}{i:02d}" for i in range(self.skies[split])]
         turns = self.rotations if split == "train" else [0.0]
-        return [name + (f"_yaw{turn:g}" if turn else "") for turn in turns for name in single]
+        turned = [name + (f"_yaw{turn:g}" if turn else "") for turn in turns for name in single]
+        return turned + [f"lamp{i:04d}" for i in range(self.lamps if split == "train" else 0)]
 
     def describe(self) -> str:
         turns, rooms, skies = ", ".join(f"{x:g}" for x in self.rotations), self.rooms, self.skies
         return (
-            f"{rooms['train']} procedural rooms and {skies['train']} skies turned by {turns} degrees; "
+            f"{rooms['train']} procedural rooms and {skies['train']} skies turned by {turns} degrees, "
+            f"{self.lamps} with a lamp added; "
             f"tests: {rooms['test']} other rooms and {skies['test']} other skies; "
             f"{'unit mean radiance' if self.normalise else 'own exposure'}"
         )
@@ -104,7 +111,9 @@ class ProceduralEnvironments(CachedEnvironments):
             "denoise": self.denoise,
             "seed": self.seed,
         }
-        return content | ({"rotations": self.rotations} if split == "train" else {})
+        if split == "train":
+            content |= {"rotations": self.rotations} | ({"lamps": self.lamps} if self.lamps else {})
+        return content
 
     def build(self, split: str) -> Float[Tensor, "n 6 R R 3"]:
         R = self.resolution
@@ -115,8 +124,11 @@ class ProceduralEnvironments(CachedEnvironments):
             tracer.trace(random_room(seed), seed) if room and tracer else random_sky(seed, R)
             for room, seed in track(jobs, f"trace rooms and skies ({split})", len(jobs))
         ]
-        turns = self.rotations if split == "train" else [0.0]
-        return torch.stack([rotate(one, yaw(turn)) if turn else one for turn in turns for one in single])
+        if split == "test":
+            return torch.stack(single)
+        turned = [rotate(one, yaw(turn)) if turn else one for turn in self.rotations for one in single]
+        plain = torch.stack(turned)
+        return torch.cat([plain, with_lamps(plain, self.lamps, self.seed)])
 
 
 class RoomTracer:

@@ -148,9 +148,22 @@ def test_further_axes_and_overrides_make_the_variant(spec, tmp_path):
     assert "+a.b=0.5" in runs[2][0] and "method.wavelets=16" in runs[2][0]
 
 
+def test_settings_of_one_method_are_no_variant_and_yield_to_the_command_line(spec, tmp_path):
+    text = YAML + "settings: {neural_prt: [method.training.steps=5]}\n"
+    (tmp_path / "experiments" / "set.yaml").write_text(text)
+    runs = table.grid_overrides(table.load_spec("set", ["scene=box"]))
+    assert {variant for _, variant in runs} == {""}
+    assert ["method.training.steps=5" in overrides for overrides, _ in runs] == [False, True]
+    changed = table.load_spec("set", ["scene=four_shapes", "method.training.steps=7"])
+    steps = [cfg.method.training.steps for _, cfg in table.resolve(changed)]
+    assert steps == [7, 7]
+    assert table.load_spec("set", ["method=wavelet_neural"]).settings == {}
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
+        (("common:", "settings: {neural_prd: [a=1]}\ncommon:"), "neural_prd'; did you mean neural_prt"),
         (("grid:", "gird:"), "unknown key 'gird'; did you mean grid"),
         (("claims:", "claims: [nonsense]\nclaim:"), "unknown key 'claim'"),
         (("psnr/indirect, far", "psnr/indirect"), "near or far"),

@@ -74,6 +74,16 @@ def test_fewer_lights_than_maps_keeps_unrotated_ones(folders):
     assert len(radiance) == 5 and not any("yaw" in name or "mirror" in name for name in names)
 
 
+def test_lamps_are_further_training_lights_and_no_test_light(folders):
+    plain, lit = make(folders, train_count=10), make(folders, train_count=10, lamps=3)
+    names, radiance = lit.train()
+    assert names[:10] == plain.train()[0] and names[10:] == ["lamp0000", "lamp0001", "lamp0002"]
+    assert len(radiance) == 13 and torch.equal(radiance[:10], plain.train()[1])
+    torch.testing.assert_close(mean_radiance(radiance).mean(-1), torch.ones(13), rtol=1e-4, atol=0)
+    assert torch.equal(lit.test()[1], plain.test()[1])
+    assert lit.fingerprint() != plain.fingerprint() and "3 with a lamp" in lit.describe()
+
+
 def test_read_again_from_the_cache(folders):
     first = make(folders).train()[1]
     before = sorted(path.name for path in (folders / "cache" / "environments").iterdir())
@@ -134,6 +144,7 @@ def test_a_black_map_stays_black(folders):
         ({"held_out": 1.5}, "held_out=1.5"),
         ({"train_count": 0}, "train_count=0"),
         ({"rotations": []}, "rotations"),
+        ({"lamps": -1}, "lamps=-1"),
     ],
 )
 def test_wrong_settings_are_errors(folders, settings, message):

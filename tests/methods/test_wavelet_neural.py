@@ -25,6 +25,7 @@ TRAINING = dict(
     epsilon=1.0,
     rates=dict(grid=1e-2, wavelet=1e-2, mlp=2e-3),
     average=0.9,
+    gain_points=0,
     strategies=dict(uniform=1.0, specular=1.0),
 )
 

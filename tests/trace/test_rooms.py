@@ -126,6 +126,7 @@ def test_sets_are_normalised_disjoint_and_cached(tmp_path, monkeypatch, tracer):
         ({"train_rooms": 0, "train_skies": 0}, "at least one"),
         ({"spp": 0}, "spp=0"),
         ({"rotations": []}, "rotations"),
+        ({"lamps": -1}, "lamps=-1"),
         ({"resolution": 5}, "power of two"),
     ],
 )
