@@ -18,10 +18,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from prt.errors import PrtError
+from prt.light import lamps
 from prt.light.cubemap import from_equirect, mirror, rotate, yaw
 from prt.light.environments import CachedEnvironments
 from prt.light.image_file import SUFFIXES, read_image
-from prt.light.lamps import with_lamps
 from prt.light.sanitise import sanitise
 from prt.paths import data_file
 from prt.progress import track
@@ -179,7 +179,7 @@ class HdriFolders(CachedEnvironments):
                 "rotations": self.rotations,
                 "mirror": self.mirror,
                 "seed": self.seed,
-            } | ({"lamps": self.lamps} if self.lamps else {})
+            } | lamps.fingerprint(self.lamps)
         return content
 
     def build(self, split: str) -> Float[Tensor, "n 6 R R 3"]:
@@ -193,7 +193,7 @@ class HdriFolders(CachedEnvironments):
             turned = rotate(source[path], yaw(turn)) if turn else source[path]
             singles.append(mirror(turned) if side else turned)
         plain = torch.stack([*singles, *self._mixed(singles)][: self.train_count])
-        return torch.cat([plain, with_lamps(plain, self.lamps, self.seed)])
+        return torch.cat([plain, lamps.with_lamps(plain, self.lamps, self.seed)])
 
     def _read(self, path: Path) -> Float[Tensor, "6 R R 3"]:
         return from_equirect(sanitise(read_image(path), path.stem, self.mend), self.resolution)

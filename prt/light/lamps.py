@@ -6,6 +6,7 @@ point under any environment at no cost, so such lights need no rendering.
 """
 
 import math
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -13,12 +14,19 @@ from torch import Tensor
 
 from prt.light.cubemap import mean_radiance, texel_directions
 
-#: angular radius of a lamp, in texels: one texel to a small window, log-uniform
-RADIUS = (0.6, 4.0)
+#: angular radius of a lamp, in texels, log-uniform: a small window. Radiance recorded towards a single texel
+#: is too noisy to train on, and what a short fit learns of transport is no finer
+RADIUS = (1.5, 6.0)
 #: share of the environment's light that comes from the lamp, uniform
 SHARE = (0.2, 0.85)
 #: darkest colour channel of a lamp over its brightest, uniform from here to one
 TINT = 0.5
+
+
+def fingerprint(count: int) -> dict[str, Any]:
+    """Plain JSON that determines what :func:`with_lamps` adds, for cache keys; nothing for no lamps."""
+    settings = {"count": count, "radius": list(RADIUS), "share": list(SHARE), "tint": TINT}
+    return {"lamps": settings} if count else {}
 
 
 def lamp_directions(count: int, generator: torch.Generator) -> Float[Tensor, "n 3"]:

@@ -255,24 +255,32 @@ class WaveletNeural:
     ) -> Float[Tensor, "N 3"]:
         """The same with the first layer folded per light and the last layer applied after the sum over k.
 
-        The two large products run in the precision of the code. Their results go to two buffers that every
-        chunk of pixels reuses: small enough to stay in cache, and never allocated anew.
+        Of both hidden layers only ``max(z, -b)`` is computed, z the pre-activation without its bias b: since
+        ``relu(z + b) = max(z, -b) + b`` and b is the same for all wavelets of a pixel, what is left out
+        passes through the next layer once per pixel. The two large products run in the precision of the code,
+        into two buffers that every chunk of pixels reuses: they stay in cache and are never allocated anew.
         """
         net, (_, second, last) = self.net, self.net.mlp.layers
         kind, wavelets, width = code.folded.dtype, len(code.index), net.width
-        space, per_pixel = net.grid(position).to(kind), net.per_pixel(features).to(kind)
-        weight, bias, light = second.weight.T.to(kind), second.bias.to(kind), code.weight.T.to(kind)
-        size = min(self.chunk, len(position)) * wavelets
-        first, hidden = space.new_empty((2, size, width))
+        space = net.grid(position).to(kind)
+        bias = net.per_pixel(features)
+        next_bias = torch.addmm(second.bias, bias, second.weight.T)
+        floor, next_floor = (-part.to(kind)[:, None, :] for part in (bias, next_bias))
+        weight, light = second.weight.T.to(kind), code.weight.T.to(kind)
+        first, hidden = space.new_empty((2, min(self.chunk, len(position)) * wavelets, width))
         summed = space.new_empty((len(position), 3, width))
         for rows in self.chunks(len(position)):
             pixels = len(space[rows])
-            a, b = first[: pixels * wavelets], hidden[: pixels * wavelets]
+            a, b = (buffer[: pixels * wavelets] for buffer in (first, hidden))
+            per_wavelet = (pixels, wavelets, width)
             torch.mm(space[rows], code.folded, out=a.view(pixels, -1))
-            a.view(pixels, wavelets, width).add_(per_pixel[rows, None, :]).relu_()
-            torch.addmm(bias, a, weight, out=b)
-            torch.matmul(light, b.relu_().view(pixels, wavelets, width), out=summed[rows])
-        return torch.einsum("nch,ch->nc", summed.float(), last.weight) + last.bias * code.weight.sum(dim=0)
+            torch.maximum(a.view(per_wavelet), floor[rows], out=a.view(per_wavelet))
+            torch.mm(a, weight, out=b)
+            torch.maximum(b.view(per_wavelet), next_floor[rows], out=b.view(per_wavelet))
+            torch.matmul(light, b.view(per_wavelet), out=summed[rows])
+        total = code.weight.sum(dim=0)
+        out = torch.einsum("nch,ch->nc", summed.float(), last.weight)
+        return out + total * (next_bias @ last.weight.T + last.bias)
 
     def chunks(self, pixels: int) -> Iterator[slice]:
         """The pixels of a frame in parts of ``chunk``."""

@@ -9,9 +9,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from prt.errors import PrtError
+from prt.light import lamps
 from prt.light.cubemap import face_directions, rotate, yaw
 from prt.light.environments import CachedEnvironments
-from prt.light.lamps import with_lamps
 from prt.progress import track
 from prt.scene.mitsuba_setup import mitsuba
 from prt.trace.denoise import denoise as denoise_image
@@ -112,7 +112,7 @@ class ProceduralEnvironments(CachedEnvironments):
             "seed": self.seed,
         }
         if split == "train":
-            content |= {"rotations": self.rotations} | ({"lamps": self.lamps} if self.lamps else {})
+            content |= {"rotations": self.rotations} | lamps.fingerprint(self.lamps)
         return content
 
     def build(self, split: str) -> Float[Tensor, "n 6 R R 3"]:
@@ -128,7 +128,7 @@ class ProceduralEnvironments(CachedEnvironments):
             return torch.stack(single)
         turned = [rotate(one, yaw(turn)) if turn else one for turn in self.rotations for one in single]
         plain = torch.stack(turned)
-        return torch.cat([plain, with_lamps(plain, self.lamps, self.seed)])
+        return torch.cat([plain, lamps.with_lamps(plain, self.lamps, self.seed)])
 
 
 class RoomTracer:
