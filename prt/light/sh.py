@@ -1,7 +1,8 @@
 """Real orthonormal spherical harmonics of any degree.
 
 Index ``l * l + l + m`` for degree l and order m = -l .. l; the polar axis is +z, there is no Condon-Shortley
-sign: the first four are 0.2821, and 0.4886 times y, z, x.
+sign: the first four are 0.2821, and 0.4886 times y, z, x. Degree counts from 0 and is the largest band: the
+"maximum degree 4" of Raghavan 2023, section 5, are 25 values (tiny-cuda-nn counts bands: its degree 4 is 3).
 """
 
 import functools

@@ -27,9 +27,10 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from prt.errors import PrtError
+from prt.light.sh import sh_basis
 from prt.methods.base import Component, FitLog
 from prt.methods.training import Average, BatchSampler, fit_loop, image_loss, warm_up_then_cosine
-from prt.nn.encodings import log_roughness, one_blob, sh_encode
+from prt.nn.encodings import log_roughness, one_blob
 from prt.nn.mlp import Mlp
 from prt.scene.gbuffer import GBuffer
 
@@ -133,7 +134,7 @@ class NeuralPrtNet(torch.nn.Module):
         surface = [place, gbuffer.normal]
         if self.position_bins:
             surface.append(one_blob(place / 2 + 0.5, self.position_bins))
-        direction = sh_encode(gbuffer.wr, self.sh_degree) if self.sh_degree else gbuffer.wr
+        direction = sh_basis(gbuffer.wr, self.sh_degree) if self.sh_degree else gbuffer.wr
         return torch.cat(surface, 1), torch.cat([*surface, direction, log_roughness(gbuffer.roughness)], 1)
 
     def decode(

@@ -107,8 +107,11 @@ class WaveletNeural:
             raise PrtError(f"method.wavelets={wavelets} must be at least 1")
         grid = dict(grid)
         self.finest_pixels = grid.pop("finest_pixels", None)
-        if self.finest_pixels is not None and not self.finest_pixels > 0:
-            raise PrtError(f"method.grid.finest_pixels={self.finest_pixels} must be above 0, or null")
+        number = isinstance(self.finest_pixels, int | float)
+        if self.finest_pixels is not None and not (number and self.finest_pixels > 0):
+            raise PrtError(
+                f"method.grid.finest_pixels={self.finest_pixels} must be a number above 0, or null"
+            )
         self.wavelets, self.selection, self.grid_settings = wavelets, selection, grid
         self.width, self.sh_degree, self.scale_outputs = width, sh_degree, scale_outputs
         self.texture = texture

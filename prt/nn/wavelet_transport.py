@@ -16,7 +16,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from prt.nn.encodings import log_roughness, sh_encode
+from prt.light.sh import sh_basis
+from prt.nn.encodings import log_roughness
 from prt.nn.hashgrid import HashGrid
 from prt.nn.mlp import Mlp
 from prt.nn.wavelet_texture import WaveletTexture
@@ -26,7 +27,7 @@ def surface_features(
     wr: Tensor, normal: Tensor, diffuse: Tensor, specular: Tensor, roughness: Tensor, degree: int
 ) -> Float[Tensor, "N F"]:
     """The inputs of f besides h_k: SH of wr, normal, k_d, k_s, log-mapped roughness (section 5)."""
-    return torch.cat([sh_encode(wr, degree), normal, diffuse, specular, log_roughness(roughness)], dim=1)
+    return torch.cat([sh_basis(wr, degree), normal, diffuse, specular, log_roughness(roughness)], dim=1)
 
 
 class WaveletTransport(nn.Module):

@@ -1,7 +1,6 @@
 """The G-buffer of a view: one ray through each pixel centre, materials read where it lands."""
 
 import functools
-import math
 from typing import Any
 
 import numpy as np
@@ -72,9 +71,8 @@ def camera_frame(view: View) -> Float[np.ndarray, "3 3"]:
 def pixel_directions(view: View) -> Float[np.ndarray, "P 3"]:
     """Unit directions from the camera through the pixel centres, row-major, float32."""
     right, up, forward = camera_frame(view)
-    half_width = math.tan(math.radians(view.fov) / 2)
-    x = (2 * (np.arange(view.width) + 0.5) / view.width - 1) * half_width
-    y = (1 - 2 * (np.arange(view.height) + 0.5) / view.height) * half_width * view.height / view.width
+    x = (2 * (np.arange(view.width) + 0.5) / view.width - 1) * view.half_width
+    y = (1 - 2 * (np.arange(view.height) + 0.5) / view.height) * view.half_width * view.height / view.width
     d = x[None, :, None] * right + y[:, None, None] * up + forward
     d /= np.linalg.norm(d, axis=-1, keepdims=True)
     return d.reshape(-1, 3).astype(np.float32)

@@ -1,6 +1,7 @@
 """A camera pose with the size of its image."""
 
 import dataclasses
+import math
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,6 +20,11 @@ class View:
     fov: float = 45.0
     width: int = 64
     height: int = 64
+
+    @property
+    def half_width(self) -> float:
+        """Half the image's width on a plane at unit distance: the tangent of half the field of view."""
+        return math.tan(math.radians(self.fov) / 2)
 
     def resized(self, width: int, height: int) -> "View":
         """The same pose with another image size (the vertical field of view follows the aspect)."""

@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import hashlib
-import math
 from typing import Any
 
 import numpy as np
@@ -55,7 +54,7 @@ class Training:
     def pixel_size(self) -> float:
         """Median width of a training pixel at its point, across the line of sight, in world units."""
         origins = torch.tensor([view.origin for view in self.views])[self.point_view]
-        widths = torch.tensor([2 * math.tan(math.radians(v.fov) / 2) / v.width for v in self.views])
+        widths = torch.tensor([2 * v.half_width / v.width for v in self.views])
         return float(((self.gbuffer.position - origins).norm(dim=1) * widths[self.point_view]).median())
 
 

@@ -5,7 +5,7 @@ import torch
 from prt.light.cubemap import mean_radiance, texel_directions, texel_solid_angles
 from prt.light.lamps import SHARE, lamp_directions, with_lamps
 
-RESOLUTION = 16
+RESOLUTION = 32
 
 
 def constant(count: int = 2) -> torch.Tensor:

@@ -19,6 +19,12 @@ def test_first_harmonics_are_the_documented_ones():
     torch.testing.assert_close(basis[:, 4], math.sqrt(15 / (4 * math.pi)) * d[:, 0] * d[:, 1])
 
 
+@pytest.mark.parametrize("degree", [0, 1, 3])
+def test_lower_degrees_are_prefixes(degree):
+    d = torch.nn.functional.normalize(torch.randn(10, 3, generator=torch.Generator().manual_seed(0)), dim=1)
+    torch.testing.assert_close(sh.sh_basis(d, degree), sh.sh_basis(d, 4)[:, : (degree + 1) ** 2])
+
+
 @pytest.mark.parametrize("degree", [4, 12])
 def test_orthonormal_by_cubemap_quadrature(degree):
     R = 96

@@ -140,9 +140,10 @@ def test_the_finest_cells_get_the_width_asked_for():
     assert level_growth({**grid, "levels": 1}, ([0.0] * 3, [1.0] * 3), 0.1) > 1
 
 
-def test_a_width_of_nothing_is_refused():
-    with pytest.raises(PrtError, match="finest_pixels=0"):
-        make(grid=dict(levels=2, features=2, log2_table=8, base_resolution=4, scale=1.5, finest_pixels=0))
+@pytest.mark.parametrize("width", [0, "two"])
+def test_a_width_of_nothing_is_refused(width):
+    with pytest.raises(PrtError, match=f"finest_pixels={width}"):
+        make(grid=dict(levels=2, features=2, log2_table=8, base_resolution=4, scale=1.5, finest_pixels=width))
 
 
 def test_a_model_remembers_the_growth_of_its_grid(built, tmp_path):
