@@ -7,6 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 from jaxtyping import Float
 from torch import Tensor
 
+from prt.errors import PrtError
 from prt.scene.gbuffer import GBuffer
 
 
@@ -75,3 +76,16 @@ class Method(Protocol):
     def load(self, path: Path, task: Any, device: str) -> None:
         """Read it back; executes no code from the file."""
         ...
+
+
+def check_resolution(lighting: Float[Tensor, "6 R R 3"], resolution: int) -> None:
+    """Refuse a lighting of another resolution than a model was fitted to.
+
+    Raises:
+        PrtError: naming both and the setting.
+    """
+    if lighting.shape[1] != resolution:
+        raise PrtError(
+            f"the lighting has {lighting.shape[1]} texels a side, the model {resolution}; "
+            f"set task.resolution={resolution}"
+        )

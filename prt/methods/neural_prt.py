@@ -28,8 +28,8 @@ from torch import Tensor
 
 from prt.errors import PrtError
 from prt.light.sh import sh_basis
-from prt.methods.base import Component, FitLog
-from prt.methods.training import Average, BatchSampler, fit_loop, image_loss, warm_up_then_cosine
+from prt.methods.base import Component, FitLog, check_resolution
+from prt.methods.training import BatchSampler, fit_network, image_loss
 from prt.nn.encodings import log_roughness, one_blob
 from prt.nn.mlp import Mlp
 from prt.scene.gbuffer import GBuffer
@@ -232,29 +232,14 @@ class NeuralPrt:
             image = image * mean[which][:, None, None]
             return image_loss(image, batch.target, settings["loss"], settings["mu"], settings["epsilon"])
 
-        average = Average(net, settings["average"]) if settings["average"] else None
-        fit_loop(
-            log,
-            "neural_prt",
-            settings["steps"],
-            generator,
-            {"net": net},
-            step,
-            optimiser,
-            warm_up_then_cosine(),
-            average,
-        )
+        fit_network(log, "neural_prt", net, settings, generator, step, optimiser)
 
     # ---- rendering
 
     @torch.no_grad()
     def light(self, lighting: Float[Tensor, "6 R R 3"]) -> LightCode:
         """Encode the lighting once."""
-        if lighting.shape[1] != self.resolution:
-            raise PrtError(
-                f"the lighting has {lighting.shape[1]} texels a side, the model {self.resolution}; "
-                f"set task.resolution={self.resolution}"
-            )
+        check_resolution(lighting, self.resolution)
         unit, mean = normalise(lighting[None].to(self.device))
         diffuse, specular = self.net.encoder(unit)
         return LightCode(diffuse, specular, mean[0])

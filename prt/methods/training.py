@@ -180,6 +180,34 @@ def fit_loop(
         average.swap_in()
 
 
+def fit_network(
+    log: FitLog,
+    label: str,
+    net: torch.nn.Module,
+    settings: dict[str, Any],
+    generator: torch.Generator,
+    step_fn: Callable[[], Tensor],
+    optimiser: torch.optim.Optimizer,
+) -> None:
+    """:func:`fit_loop` as both learnt methods use it: warm-up, cosine, and averaged weights in the end.
+
+    Args:
+        settings: ``steps``, and ``average``, the decay of the running average (0 for none).
+    """
+    average = Average(net, settings["average"]) if settings["average"] else None
+    fit_loop(
+        log,
+        label,
+        settings["steps"],
+        generator,
+        {"net": net},
+        step_fn,
+        optimiser,
+        warm_up_then_cosine(),
+        average,
+    )
+
+
 def warm_up_then_cosine(warm_up: float = 0.02, last: float = 0.02) -> Callable[[float], float]:
     """Linear warm-up over a share of the steps, then a cosine down to ``last``."""
 

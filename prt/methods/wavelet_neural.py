@@ -25,15 +25,8 @@ from torch import Tensor
 
 from prt.errors import PrtError
 from prt.light import haar
-from prt.methods.base import Component, FitLog
-from prt.methods.training import (
-    Average,
-    PointSampler,
-    fit_loop,
-    image_loss,
-    radiance,
-    warm_up_then_cosine,
-)
+from prt.methods.base import Component, FitLog, check_resolution
+from prt.methods.training import PointSampler, fit_network, image_loss, radiance
 from prt.methods.wavelet_gain import wavelet_gain
 from prt.nn.hashgrid import HashGrid
 from prt.nn.wavelet_texture import WaveletTexture
@@ -176,18 +169,7 @@ class WaveletNeural:
             image = torch.einsum("pkc,lkc->lpc", predicted, kept.to(device))
             return image_loss(image, target, settings["loss"], settings["mu"], settings["epsilon"])
 
-        average = Average(net, settings["average"]) if settings["average"] else None
-        fit_loop(
-            log,
-            "wavelet_neural",
-            settings["steps"],
-            generator,
-            {"net": net},
-            step,
-            optimiser,
-            warm_up_then_cosine(),
-            average,
-        )
+        fit_network(log, "wavelet_neural", net, settings, generator, step, optimiser)
         if settings["gain_points"]:
             gain = wavelet_gain(net, data, settings["gain_points"], generator, precision).to(device)
             net.scale = net.scale * gain  # not in place: it may be the same tensor as sigma
@@ -214,11 +196,7 @@ class WaveletNeural:
     @torch.no_grad()
     def light(self, lighting: Float[Tensor, "6 R R 3"]) -> WaveletCode:
         """Wavelet transform, selection of K, folding of the first layer (Algorithm 1, lines 2 and 3)."""
-        if lighting.shape[1] != self.resolution:
-            raise PrtError(
-                f"the lighting has {lighting.shape[1]} texels a side, the model {self.resolution}; "
-                f"set task.resolution={self.resolution}"
-            )
+        check_resolution(lighting, self.resolution)
         values, index = self.select(lighting)
         kept = values[index]
         folded = self.net.fold(index)
