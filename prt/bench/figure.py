@@ -4,6 +4,7 @@ Every row is one test image (a scene under a lighting), shown as the metrics saw
 reference, clipped and sRGB encoded, with the error map below each method and its PSNR under that.
 """
 
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,12 @@ References = Callable[[Cell, str, str, str], dict[str, Image]]
 SIDE = 1.75
 #: the end of the error maps' scale, in displayed values (0 to 1)
 ERROR_END = 0.15
+CAPTION = (
+    "Error maps: mean over channels of |method - reference| in displayed (sRGB) values. "
+    "Exposure: 95th percentile of the reference to 0.8 linear."
+)
+#: characters of the caption that surely fit into an inch
+CAPTION_DENSITY = 19
 CROP_COLOURS = ["#E69F00", "#56B4E9"]
 
 
@@ -136,22 +143,22 @@ def draw(rows: list[Row], layout: Layout) -> Figure | None:
         aspect = row.reference.shape[0] / row.reference.shape[1]
         heights.append([aspect, aspect + 0.13, *[0.5 * aspect] * bool(row.crops), 0.05])
     flat = [h for band in heights for h in band]
-    width, height = (1 + len(labels)) * SIDE + 0.36, sum(flat) * SIDE + 0.55
+    width = (1 + len(labels)) * SIDE + 0.36
+    caption = textwrap.wrap(CAPTION, int((width - 0.36) * CAPTION_DENSITY))
+    bottom = 0.14 + 0.11 * len(caption)
+    height = sum(flat) * SIDE + 0.3 + bottom
     with matplotlib.rc_context({"font.family": "DejaVu Sans", "font.size": 8.5}):
         figure = Figure(figsize=(width, height))
         grid = figure.add_gridspec(
             len(flat), 1 + len(labels), height_ratios=flat, wspace=0.025, hspace=0.03,
-            left=0.3 / width, right=1 - 0.06 / width, top=1 - 0.27 / height, bottom=0.25 / height,
+            left=0.3 / width, right=1 - 0.06 / width, top=1 - 0.27 / height, bottom=bottom / height,
         )  # fmt: skip
         at = 0
         for number, (row, bands) in enumerate(zip(rows, heights, strict=True)):
             _draw_row(figure, grid, at, row, labels, layout, first=number == 0)
             at += len(bands)
         figure.text(
-            0.3 / width, 0.08 / height,
-            "Error maps: mean over channels of |method - reference| in displayed (sRGB) values. "
-            "Exposure: 95th percentile of the reference to 0.8 linear.",
-            fontsize=6.5, color="#666666",
+            0.3 / width, 0.06 / height, "\n".join(caption), fontsize=6.5, color="#666666",
         )  # fmt: skip
     return figure
 

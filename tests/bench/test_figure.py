@@ -3,6 +3,7 @@
 import matplotlib.image
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from synthetic_runs import fake_references, make_run, reference
 
 from prt.bench import figure
@@ -74,3 +75,16 @@ def test_what_cannot_be_shown_is_said(cells, tmp_path):
     rows, notes = figure.gather(cells, images, PLAN, {}, fake_references)
     assert rows == [] and "image not found" in notes[0]
     assert figure.draw([], PLAN) is None
+
+
+@pytest.mark.parametrize("columns", [1, 3])
+def test_the_caption_stays_within_the_picture(cells, columns):
+    plan = Layout(["box"], METHODS[:columns])
+    rows, _ = figure.gather(cells[:columns], read_images(cells), plan, {}, fake_references)
+    drawn = figure.draw(rows, plan)
+    (caption,) = drawn.texts
+    renderer = FigureCanvasAgg(drawn).get_renderer()
+    box = caption.get_window_extent(renderer)
+    assert 0 <= box.x0 and box.x1 <= drawn.bbox.width
+    pictures = min(axis.get_tightbbox(renderer).y0 for axis in drawn.axes if axis.get_xlabel())
+    assert 0 <= box.y0 and box.y1 <= pictures
