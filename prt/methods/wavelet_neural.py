@@ -62,8 +62,9 @@ class WaveletNeural:
         scale_outputs: predict T_k / sigma_k instead of T_k.
         texture: W, one vector a wavelet (``independent``, the paper's) or partly ``shared`` by neighbours.
         training: steps, pixels, wavelets, largest_share, draw, lightings, target, loss, mu, epsilon, rates
-            (grid, wavelet, mlp), average, gain_points (training points that every wavelet's output is
-            calibrated on after fitting, 0 for none: ``prt.methods.wavelet_gain``), strategies.
+            and decay (grid, wavelet, mlp; the latter decoupled weight decay), average, gain_points (training
+            points that every wavelet's output is calibrated on after fitting, 0 for none:
+            ``prt.methods.wavelet_gain``), strategies.
         precision: arithmetic of ``shade``: ``float32`` or ``bfloat16`` (the latter for the hidden layers).
         folded: shade through the folded form; the readable one (Algorithm 1 as printed) is the reference.
         chunk: pixels shaded at a time; bounds memory and keeps activations in cache.
@@ -132,17 +133,17 @@ class WaveletNeural:
             width = self.finest_pixels * data.pixel_size
             self.grid_settings["scale"] = level_growth(self.grid_settings, data.bounds, width)
         self.build(data.bounds, task.resolution, sigma, device)
-        net, rates = self.net, settings["rates"]
-        optimiser = torch.optim.Adam(
-            [
-                {"params": net.grid.parameters(), "lr": rates["grid"]},
-                {"params": net.texture.parameters(), "lr": rates["wavelet"]},
-                {"params": [net.feature, *net.mlp.parameters()], "lr": rates["mlp"]},
-            ],
-            betas=(0.9, 0.99),
-            eps=1e-15,
-            fused=True,
-        )
+        net = self.net
+        parameters = {
+            "grid": net.grid.parameters(),
+            "wavelet": net.texture.parameters(),
+            "mlp": [net.feature, *net.mlp.parameters()],
+        }
+        groups = [
+            {"params": part, "lr": settings["rates"][name], "weight_decay": settings["decay"][name]}
+            for name, part in parameters.items()
+        ]
+        optimiser = torch.optim.AdamW(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
         points = PointSampler(settings["strategies"], data.importance, settings["pixels"])
         lightings = task.train_lightings()
         coefficients = haar.forward(lightings.view(-1, 6, self.resolution, self.resolution, 3)).flatten(1, 3)

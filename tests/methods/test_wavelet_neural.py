@@ -24,6 +24,7 @@ TRAINING = dict(
     mu=10.0,
     epsilon=1.0,
     rates=dict(grid=1e-2, wavelet=1e-2, mlp=2e-3),
+    decay=dict(grid=0.3, wavelet=0.1, mlp=0.0),
     average=0.9,
     gain_points=0,
     strategies=dict(uniform=1.0, specular=1.0),
