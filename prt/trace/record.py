@@ -134,43 +134,42 @@ def _record_pixels(
     place = place / mi.Point2f(mi.Float(width), mi.Float(height))
     ray, _ = sensor.sample_ray(mi.Float(0), mi.Float(0.5), place, mi.Point2f(0.5))
     slots = NextEventSlots(paths, max_depth, resolution, sampler, thin) if sampler else None
-    texel, weight, depth = trace(mi_scene, mi.Ray3f(ray), rng, max_depth, resolution, slots)
-    if slots is None:
-        dr.eval(texel, weight, depth)
-        return _compact(*(_torch(array) for array in (texel, weight, depth)), count, spp, resolution)
-    slots.write(max_depth, texel, weight, True)
-    dr.eval(slots.arrays, depth)
-    vertex = torch.arange(1, max_depth + 2, dtype=torch.uint8).repeat(paths, 1)
-    vertex[:, max_depth] = _torch(depth)
-    texel, weight = (_torch(array) for array in slots.arrays)
-    return _compact(texel, weight.view(-1, 3), vertex.flatten(), count, spp, resolution)
+    ends = trace(mi_scene, mi.Ray3f(ray), rng, max_depth, resolution, slots)
+    dr.eval(ends, slots.arrays if slots else None)
+    texel, weight, bounces = (_torch(array)[:, None] for array in ends)
+    if slots:
+        # one row per path: the next-event samples of its vertices in order, then where it escaped
+        near, near_weight = (_torch(array) for array in slots.arrays)
+        texel = torch.cat([near.view(max_depth, paths).T, texel], dim=1)
+        weight = torch.cat([near_weight.view(max_depth, paths, 3).transpose(0, 1), weight], dim=1)
+        vertex = torch.arange(1, max_depth + 1).to(bounces.dtype)
+        bounces = torch.cat([vertex.expand(paths, max_depth), bounces], dim=1)
+    return _compact(texel, weight, bounces, count, spp, resolution)
 
 
 class NextEventSlots:
-    """Samples of a wavefront, path by path: those of its vertices in order, then where it escaped."""
+    """Next-event samples of a wavefront: slot ``vertex * paths + path`` holds texel and weight."""
 
     def __init__(self, paths: int, max_depth: int, resolution: int, sampler: TexelSampler, thin: float):
         import drjit as dr
 
         mi = mitsuba()
         self.resolution, self.sampler = resolution, sampler
-        self.same_texels = sampler.resolution == resolution
         self.thinning, self.thin = thin > 0, dr.opaque(mi.Float, thin)
-        self.first = dr.arange(mi.UInt32, paths) * (max_depth + 1)
-        self.texel = dr.full(mi.Int32, EMPTY, paths * (max_depth + 1))
-        self.weight = dr.zeros(mi.Float, 3 * paths * (max_depth + 1))
+        self.paths, self.path = dr.opaque(mi.UInt32, paths), dr.arange(mi.UInt32, paths)
+        self.texel = dr.full(mi.Int32, EMPTY, paths * max_depth)
+        self.weight = dr.zeros(mi.Float, 3 * paths * max_depth)
         dr.make_opaque(self.texel, self.weight)
 
     @property
     def arrays(self):
         return self.texel, self.weight
 
-    def write(self, place, texel, weight, active) -> None:
-        """The sample of every path's vertex ``place``, or its escape where that is the depth limit."""
+    def write(self, vertex, d, weight, active) -> None:
         import drjit as dr
 
-        slot = self.first + place
-        dr.scatter(self.texel, mitsuba().Int32(texel), slot, active)
+        slot = vertex * self.paths + self.path
+        dr.scatter(self.texel, mitsuba().Int32(direction_to_texel(d, self.resolution)[0]), slot, active)
         dr.scatter(self.weight, weight, slot, active)
 
 
@@ -251,7 +250,7 @@ def next_event(mi_scene, context, si, bsdf, throughput, depth, rng, slots: NextE
 
     mi = mitsuba()
     active = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-    d, pdf, texel = slots.sampler.sample(rng.next_2d(), active)
+    d, pdf, _ = slots.sampler.sample(rng.next_2d(), active)
     wo = si.to_local(d)
     value, bsdf_pdf, sample, weight = bsdf.eval_pdf_sample(context, si, wo, rng.next_1d(), rng.next_2d())
     carried = throughput * value
@@ -262,8 +261,7 @@ def next_event(mi_scene, context, si, bsdf, throughput, depth, rng, slots: NextE
         active &= rng.next_1d() < keep
         factor /= dr.maximum(keep, 1e-30)
     active &= ~mi_scene.ray_test(si.spawn_ray(d), active)
-    texel = texel if slots.same_texels else direction_to_texel(d, slots.resolution)[0]
-    slots.write(depth, texel, carried * factor, active)
+    slots.write(depth, d, carried * factor, active)
     return sample, weight
 
 
@@ -274,7 +272,7 @@ def _torch(array) -> Tensor:
 
 
 def _compact(texel, weight, bounces, pixels, spp, resolution) -> Transport:
-    """Drop the empty slots of arrays that hold pixel after pixel, and bring the rest into rows."""
+    """Drop the empty slots of (paths, slots) arrays and bring the rest into rows."""
     keep = texel != EMPTY
     counts = keep.view(pixels, -1).sum(1)
     return Transport(

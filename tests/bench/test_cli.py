@@ -121,7 +121,11 @@ def test_a_misspelt_key_stops_a_sweep_before_anything_runs(own, capsys, tmp_path
 def test_an_interruption_says_how_to_resume(own, tmp_path):
     command = [sys.executable, "-m", "prt.cli", "run", *own, "method.sleep=0.05", "method.steps=1000"]
     environment = {**os.environ, "PYTHONPATH": str(HERE)}
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment, cwd=tmp_path)
+    process = subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, env=environment, cwd=tmp_path,
+        # where the tests run in the background the signal is ignored, and a child inherits that
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
     end = time.monotonic() + 60
     while not list(tmp_path.glob("runs/**/log.csv")) and time.monotonic() < end:
         time.sleep(0.05)
