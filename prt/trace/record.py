@@ -137,6 +137,7 @@ def _record_pixels(
     ends = trace(mi_scene, mi.Ray3f(ray), rng, max_depth, resolution, slots)
     dr.eval(ends, slots.arrays if slots else None)
     texel, weight, bounces = (_torch(array)[:, None] for array in ends)
+    bounces = bounces.to(torch.uint8)
     if slots:
         # one row per path: the next-event samples of its vertices in order, then where it escaped
         near, near_weight = (_torch(array) for array in slots.arrays)
@@ -158,7 +159,7 @@ class NextEventSlots:
         self.thinning, self.thin = thin > 0, dr.opaque(mi.Float, thin)
         self.paths, self.path = dr.opaque(mi.UInt32, paths), dr.arange(mi.UInt32, paths)
         self.texel = dr.full(mi.Int32, EMPTY, paths * max_depth)
-        self.weight = dr.zeros(mi.Float, 3 * paths * max_depth)
+        self.weight = dr.empty(mi.Float, 3 * paths * max_depth)  # read only where texel is not EMPTY
         dr.make_opaque(self.texel, self.weight)
 
     @property
@@ -275,7 +276,8 @@ def _compact(texel, weight, bounces, pixels, spp, resolution) -> Transport:
     """Drop the empty slots of (paths, slots) arrays and bring the rest into rows."""
     keep = texel != EMPTY
     counts = keep.view(pixels, -1).sum(1)
+    kept = keep.flatten().nonzero()[:, 0]
     return Transport(
-        resolution, _offsets(counts), texel[keep], weight[keep] / spp,
-        bounces[keep].to(torch.uint8),
+        resolution, _offsets(counts), texel.flatten()[kept], weight.flatten(0, 1)[kept] / spp,
+        bounces.flatten()[kept],
     )  # fmt: skip
