@@ -22,6 +22,7 @@ from prt.light import lamps
 from prt.light.cubemap import from_equirect, mirror, rotate, yaw
 from prt.light.environments import CachedEnvironments
 from prt.light.image_file import SUFFIXES, read_image
+from prt.light.lamps import checked_lamps
 from prt.light.sanitise import sanitise
 from prt.paths import data_file
 from prt.progress import track
@@ -73,8 +74,6 @@ class HdriFolders(CachedEnvironments):
             raise PrtError(f"lighting.train_count={train_count} must be at least 1, or null")
         if test_count < 1:
             raise PrtError(f"lighting.test_count={test_count} must be at least 1")
-        if lamps < 0:
-            raise PrtError(f"lighting.lamps={lamps} must be at least 0")
         if not 0 < held_out < 1:
             raise PrtError(f"lighting.held_out={held_out} must lie between 0 and 1")
         if not rotations:
@@ -83,7 +82,7 @@ class HdriFolders(CachedEnvironments):
         self.path = Path(path).expanduser() if path else None
         self.train_count, self.test_count, self.held_out = train_count, test_count, held_out
         self.rotations, self.mirror, self.seed = [float(x) for x in rotations], mirror, seed
-        self.lamps = lamps
+        self.lamps = checked_lamps(lamps)
 
     # ---- which maps
 

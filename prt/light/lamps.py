@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from prt.errors import PrtError
 from prt.light.cubemap import mean_radiance, texel_directions
 
 #: angular radius of a lamp, in texels, log-uniform: a small window. Radiance recorded towards a single texel
@@ -21,6 +22,17 @@ RADIUS = (1.5, 6.0)
 SHARE = (0.2, 0.85)
 #: darkest colour channel of a lamp over its brightest, uniform from here to one
 TINT = 0.5
+
+
+def checked_lamps(count: int) -> int:
+    """The setting ``lighting.lamps`` of an environment set.
+
+    Raises:
+        PrtError: if it is negative.
+    """
+    if count < 0:
+        raise PrtError(f"lighting.lamps={count} must be at least 0")
+    return count
 
 
 def fingerprint(count: int) -> dict[str, Any]:

@@ -26,9 +26,9 @@ def sh_basis(directions: Float[Tensor, "N 3"], degree: int) -> Float[Tensor, "N 
     special case (Sloan 2013, "Efficient Spherical Harmonic Evaluation").
 
     Raises:
-        PrtError: if the degree is negative.
+        PrtError: if the degree is no integer of at least 0.
     """
-    if degree < 0:
+    if not isinstance(degree, int) or degree < 0:
         raise PrtError(f"spherical harmonics degree={degree} must be 0 or more")
     x, y, z = directions.unbind(-1)
     out = directions.new_empty((*directions.shape[:-1], (degree + 1) ** 2))

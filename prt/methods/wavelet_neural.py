@@ -95,6 +95,10 @@ class WaveletNeural:
             raise PrtError(f"method.training.draw={training['draw']!r} is not one of uniform, transport")
         if training["target"] not in ("full", "truncated"):
             raise PrtError(f"method.training.target={training['target']!r} is not one of full, truncated")
+        if not isinstance(training["gain_points"], int) or training["gain_points"] < 0:
+            raise PrtError(
+                f"method.training.gain_points={training['gain_points']!r} must be an integer of at least 0"
+            )
         if texture not in ("shared", "independent"):
             raise PrtError(f"method.texture={texture!r} is not one of shared, independent")
         if wavelets < 1:

@@ -12,6 +12,7 @@ from prt.errors import PrtError
 from prt.light import lamps
 from prt.light.cubemap import face_directions, rotate, yaw
 from prt.light.environments import CachedEnvironments
+from prt.light.lamps import checked_lamps
 from prt.progress import track
 from prt.scene.mitsuba_setup import mitsuba
 from prt.trace.denoise import denoise as denoise_image
@@ -69,15 +70,13 @@ class ProceduralEnvironments(CachedEnvironments):
                 raise PrtError(f"lighting.{name}={count} must be from 0 to {TEST_SEEDS - 1}")
         if train_rooms + train_skies < 1 or test_rooms + test_skies < 1:
             raise PrtError("lighting: at least one room or sky is needed for training and one for testing")
-        if lamps < 0:
-            raise PrtError(f"lighting.lamps={lamps} must be at least 0")
         if spp < 1 or max_depth < 1:
             raise PrtError(f"lighting.spp={spp} and lighting.max_depth={max_depth} must be at least 1")
         if not rotations:
             raise PrtError("lighting.rotations is empty; give [0] for no rotation")
         self.rooms = {"train": train_rooms, "test": test_rooms}
         self.skies = {"train": train_skies, "test": test_skies}
-        self.rotations, self.lamps = [float(x) for x in rotations], lamps
+        self.rotations, self.lamps = [float(x) for x in rotations], checked_lamps(lamps)
         self.spp, self.max_depth, self.denoise, self.seed = spp, max_depth, denoise, seed
 
     def seeds(self, split: str, count: int) -> list[int]:

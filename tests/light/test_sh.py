@@ -1,5 +1,6 @@
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -19,10 +20,35 @@ def test_first_harmonics_are_the_documented_ones():
     torch.testing.assert_close(basis[:, 4], math.sqrt(15 / (4 * math.pi)) * d[:, 0] * d[:, 1])
 
 
-@pytest.mark.parametrize("degree", [0, 1, 3])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_lower_degrees_are_prefixes(degree):
     d = torch.nn.functional.normalize(torch.randn(10, 3, generator=torch.Generator().manual_seed(0)), dim=1)
     torch.testing.assert_close(sh.sh_basis(d, degree), sh.sh_basis(d, 4)[:, : (degree + 1) ** 2])
+
+
+def sphere_quadrature(count: int = 24) -> tuple[torch.Tensor, torch.Tensor]:
+    """Directions and weights that integrate polynomials of degree below 2 * count exactly."""
+    z, weight = (torch.tensor(a, dtype=torch.float64) for a in np.polynomial.legendre.leggauss(count))
+    phi = torch.arange(2 * count, dtype=torch.float64) * math.pi / count
+    radius = (1 - z**2).sqrt()[:, None]
+    directions = torch.stack([radius * phi.cos(), radius * phi.sin(), z[:, None].expand(-1, 2 * count)], -1)
+    return directions.reshape(-1, 3), (weight[:, None] * math.pi / count).expand(-1, 2 * count).reshape(-1)
+
+
+def test_orthonormal_to_rounding():
+    directions, weight = sphere_quadrature()
+    basis = sh.sh_basis(directions, 4)
+    torch.testing.assert_close(basis.T @ (weight[:, None] * basis), torch.eye(25, dtype=torch.float64))
+
+
+def test_bands_rotate_within_themselves():
+    # Sums of squares over a band do not depend on the direction (Unsoeld): catches a value in the wrong band.
+    generator = torch.Generator().manual_seed(0)
+    directions = torch.randn(50, 3, dtype=torch.float64, generator=generator)
+    basis = sh.sh_basis(torch.nn.functional.normalize(directions, dim=1), 4)
+    for band in range(5):
+        energy = basis[:, band**2 : (band + 1) ** 2].square().sum(1)
+        torch.testing.assert_close(energy, torch.full_like(energy, (2 * band + 1) / (4 * math.pi)))
 
 
 @pytest.mark.parametrize("degree", [4, 12])
@@ -60,5 +86,7 @@ def test_projection_is_batched():
 def test_wrong_degrees_and_counts_are_errors():
     with pytest.raises(PrtError, match="degree=-1"):
         sh.sh_basis(torch.ones((1, 3)), -1)
+    with pytest.raises(PrtError, match="degree=2.5"):
+        sh.sh_basis(torch.ones((1, 3)), 2.5)
     with pytest.raises(PrtError, match="5 spherical"):
         sh.evaluate(torch.ones((5, 3)), torch.ones((1, 3)))

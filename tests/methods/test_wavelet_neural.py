@@ -206,6 +206,7 @@ def test_saved_model_renders_the_same(built, tmp_path):
         (dict(wavelets=0), "wavelets"),
         (dict(training=dict(draw="all")), "draw"),
         (dict(training=dict(target="none")), "target"),
+        (dict(training=dict(gain_points=-1)), "gain_points=-1"),
     ],
 )
 def test_bad_settings_are_named(change, word):
