@@ -5,6 +5,7 @@ import dataclasses
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+from typing_extensions import Self
 
 from prt.scene.view import View
 
@@ -41,14 +42,14 @@ class GBuffer:
     def __len__(self) -> int:
         return self.position.shape[0]
 
-    def rows(self, index: Tensor) -> "GBuffer":
+    def rows(self, index: Tensor) -> Self:
         """The G-buffer of some of its N points; it no longer belongs to an image."""
         parts = {name: getattr(self, name)[index] for name in self.FIELDS}
-        return GBuffer(**parts, hit=torch.ones(len(parts["position"]), dtype=torch.bool), view=None)
+        return type(self)(**parts, hit=torch.ones(len(parts["position"]), dtype=torch.bool), view=None)
 
-    def to(self, device: torch.device | str) -> "GBuffer":
+    def to(self, device: torch.device | str) -> Self:
         parts = {name: getattr(self, name).to(device) for name in (*self.FIELDS, "hit")}
-        return GBuffer(**parts, view=self.view)
+        return type(self)(**parts, view=self.view)
 
     def image(self, values: Float[Tensor, "N C"]) -> Float[Tensor, "H W C"]:
         """Put per-point values back into the image; pixels that hit nothing are zero."""
@@ -67,13 +68,13 @@ class GBuffer:
         """Everything but the view, for a file; :meth:`from_tensors` reads it back."""
         return {f"gbuffer.{name}": getattr(self, name) for name in (*self.FIELDS, "hit")}
 
-    @staticmethod
-    def from_tensors(tensors: dict[str, Tensor], view: View | None) -> "GBuffer":
+    @classmethod
+    def from_tensors(cls, tensors: dict[str, Tensor], view: View | None) -> Self:
         """The inverse of :meth:`tensors`; other entries are left alone."""
-        return GBuffer(**{name: tensors[f"gbuffer.{name}"] for name in (*GBuffer.FIELDS, "hit")}, view=view)
+        return cls(**{name: tensors[f"gbuffer.{name}"] for name in (*cls.FIELDS, "hit")}, view=view)
 
-    @staticmethod
-    def concatenate(parts: list["GBuffer"]) -> "GBuffer":
+    @classmethod
+    def concatenate(cls, parts: list["GBuffer"]) -> Self:
         """The points of several G-buffers one after the other."""
-        fields = {name: torch.cat([getattr(p, name) for p in parts]) for name in GBuffer.FIELDS}
-        return GBuffer(**fields, hit=torch.ones(len(fields["position"]), dtype=torch.bool), view=None)
+        fields = {name: torch.cat([getattr(p, name) for p in parts]) for name in cls.FIELDS}
+        return cls(**fields, hit=torch.ones(len(fields["position"]), dtype=torch.bool), view=None)

@@ -1,0 +1,77 @@
+"""What a lightmap asks of an asset: where its texels lie, where light is measured, what a pixel shows of it."""
+
+import dataclasses
+
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from prt.scene.gbuffer import GBuffer
+
+
+@dataclasses.dataclass
+class Sites:
+    """S places on an asset whose light, averaged texel by texel, fills a lightmap of H x W texels.
+
+    Attributes:
+        texel: flat index ``row * W + column`` of the texel each belongs to, ascending.
+        position: on the surface (of a hair: on its round surface), world units.
+        normal: unit, outwards.
+        size: (H, W).
+    """
+
+    texel: Int[Tensor, "S"]
+    position: Float[Tensor, "S 3"]
+    normal: Float[Tensor, "S 3"]
+    size: tuple[int, int]
+
+
+@dataclasses.dataclass
+class MeasurePoints:
+    """P points where direct light is measured: the fake G-buffer of Belcour 2022, section 4.3.
+
+    Attributes:
+        position: world units.
+        normal: unit.
+        albedo: linear RGB share of the light that is sent on; 1 on a hull.
+        group: which of the measurements each belongs to, (P,) in [0, M): supersampling averages a group.
+    """
+
+    position: Float[Tensor, "P 3"]
+    normal: Float[Tensor, "P 3"]
+    albedo: Float[Tensor, "P 3"]
+    group: Int[Tensor, "P"]
+
+
+@dataclasses.dataclass
+class AtlasGBuffer(GBuffer):
+    """A G-buffer whose ``uv`` is the place in the asset's lightmap.
+
+    ``uv`` lies in [0, 1]^2, texel (row i, column j) of an H x W lightmap has its centre at
+    ``((j + 0.5) / W, (i + 0.5) / H)``.
+
+    Attributes:
+        triangle: of the asset's mesh (``SurfaceAsset.mesh``), -1 where it is not made of triangles.
+        barycentric: weights of the triangle's second and third corner.
+    """
+
+    triangle: Int[Tensor, "N"] = dataclasses.field(kw_only=True)
+    barycentric: Float[Tensor, "N 2"] = dataclasses.field(kw_only=True)
+
+    FIELDS = (*GBuffer.FIELDS, "triangle", "barycentric")
+
+
+@dataclasses.dataclass
+class TriangleMesh:
+    """All triangles of an asset as one mesh, world space.
+
+    Attributes:
+        position, normal: per vertex; normals are unit, those of the faces where a shape has none of its own
+            (its vertices are then not shared).
+        face: vertex indices.
+        shape: which of the asset's shapes each triangle belongs to.
+    """
+
+    position: Float[Tensor, "V 3"]
+    normal: Float[Tensor, "V 3"]
+    face: Int[Tensor, "F 3"]
+    shape: Int[Tensor, "F"]
