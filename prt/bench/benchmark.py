@@ -8,30 +8,39 @@ The YAML names a function instead of methods; the rest of it means what it means
     without_data: {common: [lighting=procedural]}      # where PRT_DATA is not set
     claims: ["record > 0.7 on ratio/paths/full, every scene"]
 
-The function is called once per scene, as ``function(scene=..., lighting=..., **settings)``, and returns rows
-with ``method, device, variant, component, metric, value, lo, hi, n``. It is measured anew by every call of
-the command: times compare only within one run on one machine.
+The function is called once per scene, as ``function(scene=..., lighting=..., **settings)``, and returns
+rows with ``method, device, variant, component, metric, value, lo, hi, n``. It gets what its parameters
+name: ``scene``, ``lighting``, ``task`` (built from both), ``method`` (the settings of the chosen method, a
+dict), and ``folder`` (a Path), the report folder, where it may write PNG pictures that the YAML names::
+
+    pictures: [{file: basis.png, caption: The first eight vectors}]
+
+It is measured anew by every call of the command: times compare only within one run on one machine.
 """
 
+import inspect
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
+from hydra.utils import get_method
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from prt.bench import compose as composer
-from prt.bench import layout, provenance
+from prt.bench import curve_charts, layout, pictures, provenance
 from prt.bench.build import build
 from prt.bench.layout import Entry, Sheet
 from prt.bench.report import claims_text, show
 from prt.bench.results import COLUMNS, IMAGE_COLUMNS, join_variant, read_results, write_results
+from prt.bench.run import build_task
 from prt.bench.table import check_writable, grid_overrides, say
 from prt.bench.verdicts import Evidence, judge
 from prt.cache import write_atomically
 from prt.errors import PrtError
 
 if TYPE_CHECKING:
-    from prt.bench.table import Spec
+    from prt.bench.spec import Spec
 
 
 def main(spec: "Spec", dry_run: bool = False, console: Console | None = None) -> int:
@@ -49,6 +58,7 @@ def main(spec: "Spec", dry_run: bool = False, console: Console | None = None) ->
             print(f"  {cfg.choice.scene}  {' '.join(words)}")
         return 0
     check_writable(spec.report)
+    pictures.remove(spec.pictures, spec.report)
     rows: list[dict[str, Any]] = []
     failed: dict[str, str] = {}
     for number, (cfg, _, variant) in enumerate(places):
@@ -69,15 +79,35 @@ def main(spec: "Spec", dry_run: bool = False, console: Console | None = None) ->
 def measure(spec: "Spec", cfg: DictConfig, variant: str) -> list[dict[str, Any]]:
     """The benchmark's rows on one scene, completed to rows of ``results.csv``."""
     named = OmegaConf.create({"benchmark": spec.benchmark, "choice": {"benchmark": spec.name}})
-    rows = build(named, "benchmark", scene=build(cfg, "scene"), lighting=build(cfg, "lighting"))
+    settings: Any = OmegaConf.to_container(cfg.method, resolve=True)
+    makers: dict[str, Callable[[], Any]] = {
+        "scene": lambda: build(cfg, "scene"),
+        "lighting": lambda: build(cfg, "lighting"),
+        "folder": lambda: spec.report,
+        "task": lambda: build_task(cfg),
+        "method": lambda: {key: value for key, value in settings.items() if key != "_target_"},
+    }
+    wanted = takes(str(spec.benchmark["_target_"]))
+    if "method" in spec.benchmark:  # it brings settings of its own
+        del makers["method"]
+    objects = {name: make() for name, make in makers.items() if name in wanted}
+    rows = build(named, "benchmark", **objects)
     place = {"scene": cfg.choice.scene, "budget": str(cfg.budget.name), "split": "", "seeds": 1}
     return [{**place, **row, "variant": join_variant(row["variant"], variant)} for row in rows]
+
+
+def takes(target: str) -> set[str]:
+    """The parameters of the benchmark function; scene and lighting where it cannot be found."""
+    try:
+        return set(inspect.signature(get_method(target)).parameters)
+    except Exception:  # whatever its module raises: building it says what is wrong, in one line
+        return {"scene", "lighting"}
 
 
 def write_report(
     spec: "Spec", cfg: DictConfig, rows: pd.DataFrame, failed: dict[str, str], console: Console
 ) -> None:
-    """Write ``results.csv`` and from it ``table.md``, ``table.tex``, ``claims.csv`` and ``report.md``."""
+    """Write ``results.csv``, and from it curves, table.md, table.tex, claims.csv and report.md."""
     folder = spec.report
     write_results(rows, folder / "results.csv")
     results = read_results(folder / "results.csv")
@@ -87,27 +117,33 @@ def write_report(
     write_atomically(folder / "table.tex", layout.to_latex(table).encode())
     scenes = list(dict.fromkeys([*results["scene"], *failed]))
     no_images = pd.DataFrame(columns=IMAGE_COLUMNS)
-    verdicts = judge(spec.claims, Evidence(no_images, results, scenes))
+    verdicts = judge(spec.claims, Evidence(no_images, results, scenes, once=True))
     text = verdicts.to_csv(index=False, float_format="%.6g", lineterminator="\n")
     write_atomically(folder / "claims.csv", text.encode())
     parts = [f"# {spec.title}", spec.about.strip()]
     parts.append(f"Regenerate with `{spec.command}`. Every number comes from [results.csv](results.csv).")
+    methods = list(dict.fromkeys(zip(results["method"], results["variant"], strict=True)))
+    plan = layout.Layout(scenes, methods, labels=spec.labels)
+    notes = curve_charts.write_all(spec.curves, results, plan, folder)
+    notes += pictures.missing(spec.pictures, folder)
+    parts += curve_charts.markdown(spec.curves, folder) + pictures.markdown(spec.pictures, folder)
     parts += [markdown.strip(), "More forms: [table.md](table.md), [table.tex](table.tex)."]
     if len(verdicts):
         parts += ["## Claims", claims_text(verdicts)]
     parts += ["## How it was measured", how(spec, cfg, results)]
-    lines = [f"- {scene}: {reason}" for scene, reason in failed.items()]
+    lines = [f"- {scene}: {reason}" for scene, reason in failed.items()] + [f"- {note}" for note in notes]
     parts += ["## What is missing", "\n".join(lines) or "Nothing."]
     write_atomically(folder / "report.md", ("\n\n".join(filter(None, parts)) + "\n").encode())
     show(folder, [layout.to_rich(table)], verdicts, console)
 
 
 def sheet(spec: "Spec", results: pd.DataFrame) -> Sheet:
-    """One row per scene, method, variant and component; one column per metric: value [interval]."""
+    """Rows by scene, method, variant, component and split, if any; a column a metric: value [interval]."""
     metrics = list(dict.fromkeys(results["metric"]))
     heads = [layout.metric_label(metric) for metric in metrics]
-    out = Sheet("", ["scene", "method", "variant", "component"], [("", heads)], [])
-    for place, rows in results.groupby(["scene", "method", "variant", "component"], sort=False):
+    keys = ["scene", "method", "variant", "component", *(["split"] if any(results["split"]) else [])]
+    out = Sheet("", keys, [("", heads)], [])
+    for place, rows in results.groupby(keys, sort=False):
         scene, method, *rest = (str(part) for part in place)  # pyright: ignore
         found = {row.metric: row for row in rows.itertuples()}
         cells = [Entry([figure(found[m]) if m in found else layout.MISSING]) for m in metrics]

@@ -1,5 +1,6 @@
 """The speed-accuracy chart: one panel a scene, one colour and marker a method, the Pareto front drawn.
 
+Variants of one method share its look, joined by a thin line in the order of x: the ladder of its capacity.
 Which way is better comes from the metric's own definition, never from here.
 """
 
@@ -13,9 +14,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from prt.bench.layout import Layout
-from prt.bench.results import direction_of, join_variant
+from prt.bench.layout import Layout, metric_name, split_name
+from prt.bench.results import direction_of, is_cost, join_variant, measured_once, variant_tokens
 from prt.errors import PrtError
+from prt.metrics.diagnostics import diagnostic_of
 from prt.metrics.registry import METRICS
 
 #: Okabe and Ito's colours, told apart under all common colour-vision deficiencies
@@ -30,7 +32,7 @@ STYLE = {
 AXIS_NAMES = {
     "time/frame": "time per frame", "time/shade": "time to shade a frame",
     "time/light": "time per new lighting",
-    "time/fit": "fitting time", "bytes/model": "model size",
+    "time/fit": "fitting time", "time/bake": "baking time", "bytes/model": "model size",
 }  # fmt: skip
 
 
@@ -43,19 +45,41 @@ class Axis:
 
     @classmethod
     def parse(cls, text: str) -> "Axis":
-        if text.startswith(("time/", "bytes/")):
+        """Read an axis.
+
+        Raises:
+            PrtError: for a metric nobody defines, or one without its component.
+        """
+        if is_cost(text):
             return cls(text, "")
         metric, _, component = text.rpartition("/")
-        if metric not in METRICS or component not in ("full", "direct", "indirect"):
-            raise PrtError(f"chart: {text!r} is not an axis; write time/frame or psnr/indirect")
+        known = metric.partition("/")[0] in METRICS or diagnostic_of(metric) is not None
+        if not known or component not in ("full", "direct", "indirect"):
+            raise PrtError(
+                f"chart: {text!r} is not an axis; write time/frame, psnr/indirect or psnr/fit/indirect"
+            )
         return cls(metric, component)
 
     @property
     def label(self) -> str:
-        if not self.component:
-            return AXIS_NAMES.get(self.metric, self.metric)
-        known = METRICS[self.metric]
-        return f"{known.label}, {self.component}" + (f" ({known.unit})" if known.unit else "")
+        """For people, with the unit."""
+        name, unit = metric_name(self.metric)
+        if is_cost(self.metric):
+            name = AXIS_NAMES.get(self.metric, f"time to {self.metric.partition('/')[2].replace('_', ' ')}")
+            unit = self._cost_unit
+        name += f", {self.component}" if self.component else ""
+        return f"{name} ({unit})" if unit else name
+
+    @property
+    def scale(self) -> float:
+        """From the figures of results.csv to those of the axis."""
+        return {"MB": 1e-6, "s": 1.0, "ms": 1e3}[self._cost_unit] if is_cost(self.metric) else 1.0
+
+    @property
+    def _cost_unit(self) -> str:
+        if self.metric.startswith("bytes/"):
+            return "MB"
+        return "s" if self.metric in ("time/fit", "time/bake") else "ms"
 
 
 @dataclass(frozen=True)
@@ -84,7 +108,7 @@ def points(results: pd.DataFrame, layout: Layout, x: Axis, y: Axis, split: str) 
                 full = join_variant(variant, token)
                 ends = []
                 for axis in (x, y):
-                    place = "" if not axis.component else split
+                    place = "" if measured_once(axis.metric) else split
                     # a cost that denoising does not touch is listed once, without it
                     for name in (full, variant):
                         key = (scene, method, name, place, axis.component, axis.metric)
@@ -99,6 +123,27 @@ def points(results: pd.DataFrame, layout: Layout, x: Axis, y: Axis, split: str) 
                     if math.isfinite(figures[0]) and figures[0] > 0 and math.isfinite(figures[1]):
                         found.append(Point(scene, method, variant, bool(token), *figures))
     return found
+
+
+def ladders(found: list[Point]) -> dict[tuple[str, str, bool], list[Point]]:
+    """The points of every method with several variants, by (scene, method, denoised), in the order of x."""
+    groups: dict[tuple[str, str, bool], list[Point]] = {}
+    for point in found:
+        groups.setdefault((point.scene, point.method, point.denoised), []).append(point)
+    return {key: sorted(rungs, key=lambda p: p.x) for key, rungs in groups.items() if len(rungs) > 1}
+
+
+def varying(variants: list[str]) -> list[str]:
+    """Names of the tokens in which variants differ."""
+    tokens = [variant_tokens(variant) for variant in variants]
+    names = dict.fromkeys(name for own in tokens for name in own)
+    return [name for name in names if len({own.get(name) for own in tokens}) > 1]
+
+
+def rung_name(variant: str, changing: list[str]) -> str:
+    """A variant by what changes from one to the next: ``16`` of ``basis=16``."""
+    own = variant_tokens(variant)
+    return ", ".join(own.get(name, "–") for name in changing)
 
 
 def pareto(found: list[Point], x_better: str, y_better: str) -> list[Point]:
@@ -128,7 +173,8 @@ def draw(results: pd.DataFrame, layout: Layout, settings: dict, note: str = "") 
         return None
     columns = min(len(scenes), 3)
     rows = math.ceil(len(scenes) / columns)
-    looks = {m: (COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]) for i, m in enumerate(layout.methods)}
+    methods = list(dict.fromkeys(method for method, _ in layout.methods))
+    looks = {m: (COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]) for i, m in enumerate(methods)}
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(2.9 * columns + 2.1, 2.5 * rows + 0.75), layout="constrained")
         axes = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
@@ -140,9 +186,9 @@ def draw(results: pd.DataFrame, layout: Layout, settings: dict, note: str = "") 
         for i in range(len(scenes)):
             if i + columns >= len(scenes):
                 axes[i].tick_params(labelbottom=True)
-                axes[i].set_xlabel(f"{x.label} ({_scale_name(x)})", fontsize=8.5)
+                axes[i].set_xlabel(x.label, fontsize=8.5)
         for i in range(0, len(scenes), columns):
-            axes[i].set_ylabel(f"{y.label}, {split} views", fontsize=8.5)
+            axes[i].set_ylabel(f"{y.label}, {split_name(split)}", fontsize=8.5)
         figure.legend(
             handles=_legend(found, looks, layout), loc="outside right upper", frameon=False, fontsize=8
         )
@@ -157,36 +203,39 @@ def draw(results: pd.DataFrame, layout: Layout, settings: dict, note: str = "") 
     return figure
 
 
-def _scale_name(axis: Axis) -> str:
-    return "MB" if axis.metric.startswith("bytes/") else "s" if axis.metric == "time/fit" else "ms"
-
-
-def _scale(axis: Axis) -> float:
-    return {"MB": 1e-6, "s": 1.0, "ms": 1e3}[_scale_name(axis)] if not axis.component else 1.0
-
-
 def _panel(axis: Axes, found: list[Point], looks: dict, x: Axis, y: Axis) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    by, better = _scale(x), (direction_of(x.metric), direction_of(y.metric))
+    by, up, better = x.scale, y.scale, (direction_of(x.metric), direction_of(y.metric))
     front = pareto(found, *better)
     where = "post" if better[0] == "lower" else "pre"
     axis.step(
         [p.x * by for p in front],
-        [p.y for p in front],
+        [p.y * up for p in front],
         where=where,
         color="#999999",
         lw=1,
         ls=(0, (4, 2)),
         zorder=1,
     )
+    for (_, method, _), rungs in ladders(found).items():
+        axis.plot(
+            [p.x * by for p in rungs], [p.y * up for p in rungs], color=looks[method][0], lw=0.8, alpha=0.7,
+            zorder=2,
+        )  # fmt: skip
+        changing = varying([p.variant for p in rungs])
+        for p in rungs:
+            axis.annotate(rung_name(p.variant, changing), (p.x * by, p.y * up), xytext=(4, 4),
+                          textcoords="offset points", fontsize=6.5, color="#555555")  # fmt: skip
     for p in found:
-        colour, marker = looks[p.method, p.variant]
+        colour, marker = looks[p.method]
         reach = [[0], [max(p.x_hi - p.x, 0) * by]] if p.x_hi == p.x_hi else None
-        spread = [[p.y - p.y_lo], [p.y_hi - p.y]] if p.y_hi == p.y_hi else None
+        # a cost has no lower end
+        low = p.y_lo if p.y_lo == p.y_lo else p.y
+        spread = [[(p.y - low) * up], [max(p.y_hi - p.y, 0) * up]] if p.y_hi == p.y_hi else None
         axis.errorbar(
-            p.x * by, p.y, xerr=reach, yerr=spread, fmt=marker, ms=6, mew=1.3, color=colour, elinewidth=0.9,
-            mfc=colour if p.denoised else "white", mec=colour, capsize=0, zorder=3,
+            p.x * by, p.y * up, xerr=reach, yerr=spread, fmt=marker, ms=6, mew=1.3, color=colour,
+            elinewidth=0.9, mfc=colour if p.denoised else "white", mec=colour, capsize=0, zorder=3,
         )  # fmt: skip
     axis.set_xscale("log")
     axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -211,9 +260,10 @@ def _better_arrow(axis: Axes, x_better: str, y_better: str) -> None:
 
 def _legend(found: list[Point], looks: dict, layout: Layout) -> list[Line2D]:
     handles = []
-    for (method, variant), (colour, marker) in looks.items():
-        if any((p.method, p.variant) == (method, variant) for p in found):
-            label = layout.method_label(method, variant)
+    for method, (colour, marker) in looks.items():
+        variants = list(dict.fromkeys(p.variant for p in found if p.method == method))
+        if variants:
+            label = layout.method_label(method, ", ".join(varying(variants)) or variants[0])
             handles.append(Line2D([], [], color=colour, marker=marker, ls="", ms=6, mew=1.3, label=label))
     grey = {"color": "#777777", "marker": "o", "ls": "", "ms": 6, "mew": 1.3}
     if any(p.denoised for p in found):

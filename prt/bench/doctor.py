@@ -146,6 +146,16 @@ def denoiser() -> list[Finding]:
     return [Finding(state, "Open Image Denoise", f"a grey image comes back within {error:.1e}")]
 
 
+def glsl() -> list[Finding]:
+    """The renderer of ``svd_transfer`` that draws with OpenGL."""
+    from prt.methods.blend_shader import device_name
+
+    try:
+        return [Finding("ok", "GLSL renderer", f"works with {device_name()}")]
+    except PrtError as error:  # optional: svd_transfer blends with torch as well
+        return [Finding("missing", "GLSL renderer", str(error))]
+
+
 def computing() -> list[Finding]:
     found = [
         Finding(
@@ -235,6 +245,7 @@ CHECKS: dict[str, Callable[[], list[Finding]]] = {
     "computing": computing,
     "Mitsuba": rendering,
     "denoising": denoiser,
+    "GLSL": glsl,
     "data": data,
     "LPIPS": lpips_weights,
     "cache": cache,

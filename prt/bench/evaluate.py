@@ -11,6 +11,7 @@ from omegaconf import DictConfig
 from torch import Tensor
 
 from prt.bench.exr import write_exr
+from prt.bench.results import TIME_SCOPES, direction_of
 from prt.bench.run_folder import RunFolder
 from prt.errors import PrtError
 from prt.metrics.registry import evaluate
@@ -48,7 +49,7 @@ def evaluate_item(folder: RunFolder, cfg: DictConfig, task: Any, method: Any, it
     image = render(method, item, str(cfg.device))
     rows = []
     for part, picture in task.compose(item, image, component).items():
-        versions = {False: picture} | ({True: denoised(picture, item.gbuffer)} if cfg.run.denoise else {})
+        versions = {False: picture} | ({True: denoised(picture, item.gbuffer)} if denoises(cfg, task) else {})
         for flag, version in versions.items():
             if cfg.run.images.save:
                 write_exr(folder.image_file(*key(item), part, flag), version)
@@ -56,8 +57,14 @@ def evaluate_item(folder: RunFolder, cfg: DictConfig, task: Any, method: Any, it
         rows.append(row(item, part, False, "noise_floor", item.noise_floor[part]))
     if hasattr(task, "error_split"):
         for name, value in task.error_split(item, image, method).items():
-            rows.append(row(item, component, False, f"psnr/{name}", value))
+            direction_of(name)  # a name nobody defines would be found only by the report, after hours
+            rows.append(row(item, component, False, name, value))
     return rows
+
+
+def denoises(cfg: DictConfig, task: Any) -> bool:
+    """Whether images are judged denoised as well: asked for, and images of a kind a denoiser knows."""
+    return bool(cfg.run.denoise) and getattr(task, "denoise_after", True)
 
 
 def render(method: Any, item: Any, device: str) -> Float[Tensor, "H W 3"]:
@@ -96,23 +103,42 @@ def denoised(image: Float[Tensor, "H W 3"], gbuffer: GBuffer) -> Float[Tensor, "
 
 
 def time_run(folder: RunFolder, cfg: DictConfig, task: Any, method: Any) -> None:
-    """Time light, shade, gbuffer and denoise on the first test item, into timing.json."""
-    item, device = task.tests()[0], str(cfg.device)
+    """Time light, shade, the method's own parts, denoise and gbuffer on one test item, into timing.json.
+
+    The item is ``task.timed_item()`` where the task has that, else the first. A method with
+    ``timed_parts(lighting, gbuffer) -> dict[str, Callable]`` has each of them timed by itself; their names
+    are kept in ``parts``, in the method's own order.
+
+    Raises:
+        PrtError: if a part has the name of something else in timing.json.
+    """
+    item = task.timed_item() if hasattr(task, "timed_item") else task.tests()[0]
+    device = str(cfg.device)
     gbuffer, lighting = item.gbuffer.to(device), item.lighting.to(device)
     code = method.light(lighting)
     image = item.gbuffer.image(method.shade(gbuffer, code).detach().float().cpu())
     work = {"light": lambda: method.light(lighting), "shade": lambda: method.shade(gbuffer, code)}
-    if cfg.run.denoise:
+    parts = method.timed_parts(lighting, gbuffer) if hasattr(method, "timed_parts") else {}
+    machine = {"device": device, "threads": torch.get_num_threads()}
+    taken = {*TIME_SCOPES, *machine, "frame", "fit", "bake", "bytes", "pixels", "parts"} & set(parts)
+    if taken:
+        raise PrtError(
+            f"{type(method).__name__}.timed_parts names {', '.join(sorted(taken))}, which means something "
+            "else in timing.json; rename it"
+        )
+    work |= parts
+    if denoises(cfg, task):
         work["denoise"] = lambda: denoised(image, item.gbuffer)
-    with Bar("time light, shade, denoise, gbuffer", len(work) + 1) as bar:
+    with Bar(f"time {', '.join(work)}, gbuffer", len(work) + 1) as bar:
         found = {}
         for name, function in work.items():
             found[name] = time_repeated(function, cfg.run.repetitions, device=device).to_dict()
             bar.advance()
-        scene = getattr(task, "mitsuba_scene", None)
-        if scene is not None and item.gbuffer.view is not None:
-            found["gbuffer"] = time_gbuffer(scene, item.gbuffer.view, cfg.run.repetitions)
-    machine = {"device": device, "threads": torch.get_num_threads()}
+        scene, view = getattr(task, "mitsuba_scene", None), getattr(item.gbuffer, "view", None)
+        if scene is not None and view is not None:
+            found["gbuffer"] = time_gbuffer(scene, view, cfg.run.repetitions)
+    if parts:
+        found["parts"] = list(parts)
     folder.add_timing(**found, **machine, bytes=int(method.nbytes()), pixels=len(gbuffer))
 
 

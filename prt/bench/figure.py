@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from prt.bench.exr import read_exr
-from prt.bench.layout import Layout
+from prt.bench.layout import MISSING, Layout, split_name
 from prt.bench.results import DENOISED, Cell, join_variant
 from prt.errors import PrtError
 from prt.metrics.tonemap import exposure_of, to_srgb
@@ -52,6 +52,7 @@ class Row:
     pictures: dict[str, Image]  #: column label -> sRGB in [0, 1]
     psnr: dict[str, float]
     crops: list[list[float]]  #: x, y, width, height as fractions of the picture
+    label: str = ""  #: shown in place of the scene's
 
 
 def gather(
@@ -60,25 +61,32 @@ def gather(
     """The rows of the figure, and notes of what could not be shown and why.
 
     Args:
-        settings: ``rows``, a list of {scene, split, view, lighting, component, crops}, of which only
+        settings: ``rows``, a list of {scene, split, view, lighting, component, label, crops}, of which only
             ``scene`` must be given (by default every scene); view and lighting are names or places in the
-            list of tests. ``component`` (``indirect``), ``split`` (the first column's) and ``denoised`` (true
-            where there are denoised images) hold for all rows.
+            list of tests; ``label`` stands in place of the scene's. ``component`` (``indirect``), ``split``
+            (the first column's) and ``denoised`` (true where there are denoised images) hold for all rows;
+            ``columns`` lists the methods that are shown, as :meth:`Layout.chosen` reads them.
+
+    Raises:
+        PrtError: for a method in ``columns`` that the table does not have.
     """
     rows, notes = [], []
+    methods = shown_methods(layout, settings)
     wanted = settings.get("rows") or [{"scene": scene} for scene in layout.scenes]
     for entry in wanted:
         entry = {"component": "indirect", "split": layout.splits[0], **settings, **entry}
         scene, split = entry["scene"], entry["split"]
         tests = images[(images["scene"] == scene) & (images["split"] == split)]
         if scene not in layout.scenes or not len(tests):
-            notes.append(f"no picture of {layout.label(scene)}: no finished run has {split} views of it")
+            notes.append(
+                f"no picture of {layout.label(scene)}: no finished run has {split_name(split)} of it"
+            )
             continue
         try:
             view = _choose(tests["view"], entry.get("view", 0), f"figure: {scene}: view")
             lit = tests[tests["view"] == view]["lighting"]
             lighting = _choose(lit, entry.get("lighting", 0), f"figure: {scene}: lighting")
-            rows.append(_row(cells, images, layout, entry, view, lighting, references))
+            rows.append(_row(cells, images, layout, methods, entry, view, lighting, references))
         except PrtError as error:
             notes.append(f"no picture of {layout.label(scene)}: {error}")
     return rows, notes
@@ -93,14 +101,17 @@ def _choose(names: pd.Series, wanted: str | int, what: str) -> str:
     return str(wanted)
 
 
-def _row(cells, images, layout: Layout, entry: dict, view: str, lighting: str, references: References) -> Row:
+def _row(
+    cells, images, layout: Layout, methods: list[tuple[str, str]], entry: dict, view: str, lighting: str,
+    references: References,
+) -> Row:  # fmt: skip
     scene, split, component = entry["scene"], entry["split"], entry["component"]
     pictures, psnr, reference, exposure = {}, {}, None, 1.0
     here = images[
         (images["scene"] == scene) & (images["split"] == split) & (images["view"] == view)
         & (images["lighting"] == lighting) & (images["component"] == component) & (images["metric"] == "psnr")
     ]  # fmt: skip
-    for method, variant in layout.methods:
+    for method, variant in methods:
         cell = next(
             (c for c in cells if (c.scene, c.method, c.variant) == (scene, method, variant) and c.done), None
         )
@@ -112,7 +123,11 @@ def _row(cells, images, layout: Layout, entry: dict, view: str, lighting: str, r
             denoised, path = False, cell.run.image_file(split, view, lighting, component, False)
         linear = np.nan_to_num(read_exr(path).numpy(), nan=0.0, posinf=0.0, neginf=0.0)
         if reference is None:
-            truth = np.asarray(references(cell, split, view, lighting)[component])
+            images_of = references(cell, split, view, lighting)
+            if component not in images_of:
+                known = ", ".join(images_of)
+                raise PrtError(f"figure: {view} has no component {component!r}; choose from {known}")
+            truth = np.asarray(images_of[component])
             exposure = exposure_of(truth)
             reference = to_srgb(truth, exposure)
         label = layout.method_label(method, variant)
@@ -126,18 +141,26 @@ def _row(cells, images, layout: Layout, entry: dict, view: str, lighting: str, r
     if reference is None:
         raise PrtError("no finished run has images of it")
     return Row(
-        scene, split, view, lighting, component, exposure, reference, pictures, psnr, entry.get("crops") or []
-    )
+        scene, split, view, lighting, component, exposure, reference, pictures, psnr,
+        entry.get("crops") or [], str(entry.get("label") or layout.label(scene)),
+    )  # fmt: skip
 
 
-def draw(rows: list[Row], layout: Layout) -> Figure | None:
-    """The figure, or None without rows."""
+def shown_methods(layout: Layout, settings: dict) -> list[tuple[str, str]]:
+    """The (method, variant) of the figure's columns, in their order."""
+    columns = settings.get("columns")
+    return layout.chosen(columns, "figure.columns") if columns else layout.methods
+
+
+def draw(rows: list[Row], layout: Layout, settings: dict | None = None) -> Figure | None:
+    """The figure, or None without rows; ``settings`` as for :func:`gather`."""
     import matplotlib
 
     if not rows:
         return None
-    labels = [layout.method_label(m, v) for m, v in layout.methods]
+    labels = [layout.method_label(m, v) for m, v in shown_methods(layout, settings or {})]
     labels = [label for label in labels if any(label in row.pictures for row in rows)]
+    common = rows[0].component if len({row.component for row in rows}) == 1 else ""
     heights = []  # of the bands: pictures, error maps with PSNR, then the enlarged crops
     for row in rows:
         aspect = row.reference.shape[0] / row.reference.shape[1]
@@ -155,7 +178,7 @@ def draw(rows: list[Row], layout: Layout) -> Figure | None:
         )  # fmt: skip
         at = 0
         for number, (row, bands) in enumerate(zip(rows, heights, strict=True)):
-            _draw_row(figure, grid, at, row, labels, layout, first=number == 0)
+            _draw_row(figure, grid, at, row, labels, common, first=number == 0)
             at += len(bands)
         figure.text(
             0.3 / width, 0.06 / height, "\n".join(caption), fontsize=6.5, color="#666666",
@@ -163,17 +186,16 @@ def draw(rows: list[Row], layout: Layout) -> Figure | None:
     return figure
 
 
-def _draw_row(
-    figure: Figure, grid, at: int, row: Row, labels: list[str], layout: Layout, first: bool
-) -> None:
+def _draw_row(figure: Figure, grid, at: int, row: Row, labels: list[str], common: str, first: bool) -> None:
+    """One row; ``common`` is the component that all rows show, empty where each says its own."""
     top = figure.add_subplot(grid[at, 0])
     _show(top, row.reference)
-    top.set_ylabel(f"{layout.label(row.scene)}", fontweight="bold", fontsize=9, labelpad=4)
+    top.set_ylabel(row.label, fontweight="bold", fontsize=9, labelpad=4)
     if first:
-        top.set_title(f"Reference ({row.component})", fontsize=9, pad=4)
+        top.set_title(f"Reference ({common})" if common else "Reference", fontsize=9, pad=4)
     below = figure.add_subplot(grid[at + 1, 0])
     below.axis("off")
-    _facts(below, row)
+    _facts(below, row, bool(common))
     columns = [top]
     for i, label in enumerate(labels, start=1):
         picture, errors = figure.add_subplot(grid[at, i]), figure.add_subplot(grid[at + 1, i])
@@ -200,7 +222,10 @@ def _draw_row(
         errors.set(xticks=[], yticks=[])
         best = max(v for v in row.psnr.values() if v == v) if any(v == v for v in row.psnr.values()) else None
         weight = "bold" if row.psnr[label] == best else "normal"
-        errors.set_xlabel(f"{row.psnr[label]:.2f} dB", fontsize=8.5, labelpad=2, fontweight=weight)
+        known = row.psnr[label] == row.psnr[label]  # a run may not have been asked for its PSNR
+        errors.set_xlabel(
+            f"{row.psnr[label]:.2f} dB" if known else MISSING, fontsize=8.5, labelpad=2, fontweight=weight
+        )
     _enlarge(figure, grid, at + 2, row, columns, labels)
 
 
@@ -211,9 +236,13 @@ def _show(axis: Axes, picture: Image) -> None:
         spine.set_visible(False)
 
 
-def _facts(axis: Axes, row: Row) -> None:
-    """Under the reference: which image this is, its exposure, and the error maps' colour bar."""
+def _facts(axis: Axes, row: Row, of_all: bool) -> None:
+    """Under the reference: which image this is, its exposure, and the error maps' colour bar.
+
+    ``of_all``: the component stands above the column, being that of all rows.
+    """
     facts = [f"view: {row.view} ({row.split})", f"light: {row.lighting}", f"exposure: × {row.exposure:.3g}"]
+    facts += [] if of_all else [f"component: {row.component}"]
     for i, line in enumerate(facts):
         text = line if len(line) <= 30 else line[:29] + "…"
         axis.text(

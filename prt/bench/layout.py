@@ -3,19 +3,23 @@
 Published numbers get a sheet of their own, so that no cell ever mixes them with measured ones.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import cast
 
 import pandas as pd
 from rich.table import Table
 
 from prt.bench.results import DENOISED, NOISE_FLOOR, direction_of, join_variant
 from prt.errors import PrtError
+from prt.metrics.diagnostics import diagnostic_label, diagnostic_of
 from prt.metrics.registry import METRICS
 
 FAILED, MISSING, UNAVAILABLE = "failed", "–", "n/a"
-COST_TITLE, ERROR_TITLE = "Time and size", "Error split (PSNR, dB)"
+#: what a split is called where its own name says too little
+SPLIT_NAMES = {
+    "near": "near views", "far": "far views",
+    "points": "point lights", "spots": "spot lights", "path": "a moving light",
+}  # fmt: skip
 PUBLISHED_TITLE = "Published (the paper's own scenes, renderer and GPU; not comparable in absolute terms)"
 
 
@@ -29,6 +33,8 @@ class Layout:
     components: list[str] = field(default_factory=lambda: ["full", "indirect"])
     splits: list[str] = field(default_factory=lambda: ["far", "near"])
     as_is: list[str] = field(default_factory=list)  #: methods shown only without denoising after them
+    #: names of the views whose test items count, ``*`` for any text; empty for all
+    views: list[str] = field(default_factory=list)
     #: of methods and scenes, where the name is not enough
     labels: dict[str, str] = field(default_factory=dict)
 
@@ -43,6 +49,39 @@ class Layout:
 
     def method_label(self, method: str, variant: str) -> str:
         return self.label(method) + (f" ({variant})" if variant else "")
+
+    def chosen(self, names: Sequence[str], what: str) -> list[tuple[str, str]]:
+        """The (method, variant) meant by ``names``: labels, ``method[variant]``, or methods in all variants.
+
+        Raises:
+            PrtError: for a name of none of them; ``what`` names the setting.
+        """
+        found = []
+        for name in names:
+            matching = [
+                (method, variant)
+                for method, variant in self.methods
+                if name
+                in (method, self.label(method), f"{method}[{variant}]", self.method_label(method, variant))
+            ]
+            if not matching:
+                known = [f"{m}[{v}]" if v else m for m, v in self.methods]
+                raise PrtError(f"{what}: no method {name!r} in this table; choose from {', '.join(known)}")
+            found += matching
+        return list(dict.fromkeys(found))
+
+
+def split_name(split: str) -> str:
+    """A split in words: ``far views``, ``same lights``."""
+    return SPLIT_NAMES.get(split, f"{split} lights")
+
+
+def splits_of(names: Iterable[str]) -> list[str]:
+    """The order in which splits are shown where a table does not say: far before near, then as they come."""
+    found = list(dict.fromkeys(names))
+    return [name for name in ("far", "near") if name in found] + [
+        name for name in found if name not in ("far", "near")
+    ]
 
 
 @dataclass
@@ -72,13 +111,27 @@ def figure_format(metric: str) -> Callable[[float], str]:
     """How many digits a metric is shown with."""
     if metric.startswith("psnr") or metric == NOISE_FLOOR:
         return "{:.2f}".format
-    return "{:.4f}".format if metric in METRICS else "{:.3g}".format
+    # radiance has no scale of its own: a dim scene would be all zeros in fixed digits
+    fixed = metric in METRICS and METRICS[metric].unit != "radiance"
+    return "{:.4f}".format if fixed else "{:.3g}".format
+
+
+def metric_name(metric: str) -> tuple[str, str]:
+    """Name and unit for people; a part of a metric's error is the metric's name and the part's."""
+    if metric in METRICS:
+        return METRICS[metric].label, METRICS[metric].unit
+    diagnostic = diagnostic_of(metric)
+    if diagnostic:
+        return diagnostic_label(metric), diagnostic.unit
+    whole, _, part = metric.partition("/")
+    known = METRICS.get(whole)
+    return (f"{known.label}, {part.replace('_', ' ')} only", known.unit) if known else (metric, "")
 
 
 def metric_label(metric: str) -> str:
     """As ``PSNR (dB) ↑``: the arrow points where better is."""
-    known = METRICS.get(metric)
-    name = f"{known.label} ({known.unit})" if known and known.unit else known.label if known else metric
+    name, unit = metric_name(metric)
+    name += f" ({unit})" if unit else ""
     return f"{name} {'↑' if direction_of(metric) == 'higher' else '↓'}"
 
 
@@ -108,7 +161,9 @@ def quality_sheet(
     keys = ["scene", "method", "variant", "split", "component", "metric"]
     lookup = figures.drop_duplicates(keys).set_index(keys)[column].astype(float).to_dict()
     reasons = reasons or {}
-    groups = [(f"{split} views", [layout.label(scene) for scene in layout.scenes]) for split in layout.splits]
+    groups = [
+        (split_name(split), [layout.label(scene) for scene in layout.scenes]) for split in layout.splits
+    ]
     sheet = Sheet(title, ["metric", "method", "denoised"], groups, [])
     for metric in layout.metrics:
         block = []
@@ -176,56 +231,6 @@ def _entry(cell: list, metric: str, gone: str | None, best: list[bool], sheet: S
         note = f"{UNAVAILABLE}: {METRICS[metric].label} could not be computed for at least one image"
         sheet.notes += [note] if note not in sheet.notes else []
     return Entry([MISSING if v is None else UNAVAILABLE if v != v else show(v) for v in cell], best)
-
-
-COSTS = [
-    ("time/fit", "fit (s)", 1.0), ("time/light", "light (ms)", 1e3), ("time/gbuffer", "G-buffer (ms)", 1e3),
-    ("time/shade", "shade (ms)", 1e3), ("time/denoise", "denoise (ms)", 1e3),
-    ("time/frame", "frame (ms)", 1e3),
-    ("bytes/model", "model (MB)", 1e-6),
-]  # fmt: skip
-
-
-def cost_sheet(results: pd.DataFrame, layout: Layout) -> Sheet:
-    """Times and sizes: rows scene x method, columns the scopes (medians)."""
-    sheet = Sheet(COST_TITLE, ["scene", "method", "device"], [("", [label for _, label, _ in COSTS])], [])
-    sheet.notes.append(
-        "Times are medians of at least 30 repetitions. frame = G-buffer + shade, without denoising; light is "
-        "spent once per lighting, fit once per scene. Compare only figures of one command on one machine."
-    )
-    for scene in layout.scenes:
-        for method, variant in layout.methods:
-            rows = results[
-                (results["scene"] == scene) & (results["method"] == method) & (results["split"] == "")
-            ]
-            denoising = (rows["metric"] == "time/denoise") & (
-                rows["variant"] == join_variant(variant, DENOISED)
-            )
-            own = rows[((rows["variant"] == variant) | denoising) & rows["value"].notna()]
-            if not len(own):
-                continue
-            value = own.drop_duplicates("metric").set_index("metric")["value"]
-            cells = [Entry([f"{value[m] * scale:.3g}" if m in value else MISSING]) for m, _, scale in COSTS]
-            lead = [layout.label(scene), layout.method_label(method, variant), own["device"].iloc[0]]
-            sheet.rows.append((lead, cells))
-    return sheet
-
-
-def error_sheet(results: pd.DataFrame, layout: Layout) -> Sheet:
-    """Where the error comes from: PSNR with one source of error left in, beside the whole."""
-    parts = sorted({m for m in results["metric"] if m.startswith("psnr/")})
-    names = ["psnr", *parts, NOISE_FLOOR]
-    heads = ["all errors", *[m.partition("/")[2].replace("_", " ") for m in parts], "reference noise floor"]
-    sheet = Sheet(ERROR_TITLE, ["scene", "views", "method", "component"], [("", heads)], [])
-    key = ["scene", "split", "method", "component"]
-    plain = results[results["metric"].isin(names) & results["variant"].isin([v for _, v in layout.methods])]
-    for place, rows in plain.groupby(key, sort=False):
-        scene, split, method, component = cast(tuple[str, str, str, str], place)
-        value = rows.drop_duplicates("metric").set_index("metric")["value"].astype(float).dropna()
-        if scene in layout.scenes and any(m in value for m in parts):
-            cells = [Entry([f"{value[m]:.2f}" if m in value else MISSING]) for m in names]
-            sheet.rows.append(([layout.label(scene), split, layout.label(method), component], cells))
-    return sheet
 
 
 def to_markdown(sheet: Sheet) -> str:

@@ -1,5 +1,6 @@
 """The report folder of a table: results.csv first, then all that is made from it and from the run folders."""
 
+import dataclasses
 import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -9,11 +10,12 @@ from omegaconf import OmegaConf
 from rich.console import Console
 from rich.table import Table
 
-from prt.bench import chart, figure, layout
+from prt.bench import chart, curve_charts, figure, layout, pictures, run_sheets
 from prt.bench.layout import Layout, Sheet
 from prt.bench.results import (
     NOISE_FLOOR,
     Cell,
+    in_views,
     read_images,
     read_published,
     read_results,
@@ -22,10 +24,11 @@ from prt.bench.results import (
 )
 from prt.bench.verdicts import SCOPES, Evidence, judge
 from prt.cache import write_atomically
+from prt.metrics.diagnostics import diagnostic_of
 from prt.metrics.registry import METRICS
 
 if TYPE_CHECKING:
-    from prt.bench.table import Spec
+    from prt.bench.spec import Spec
 
 SIGNS = {"holds": "✔ holds", "fails": "✘ fails", "undecided": "? undecided"}
 
@@ -48,7 +51,10 @@ def write_report(
         PrtError: for damaged run folders, a wrong published file, or a folder that cannot be written.
     """
     folder = spec.report
-    images = read_images(cells)
+    every_image = read_images(cells)
+    images = in_views(every_image, plan.views)
+    if "splits" not in spec.columns and len(images):
+        plan = dataclasses.replace(plan, splits=layout.splits_of(images["split"]))
     published = read_published(spec.published) if spec.published else None
     write_results(summarise(cells, images, published), folder / "results.csv")
     results = read_results(folder / "results.csv")
@@ -67,15 +73,26 @@ def write_report(
     text = verdicts.to_csv(index=False, float_format="%.6g", lineterminator="\n")
     write_atomically(folder / "claims.csv", text.encode())
 
-    notes = draw_pictures(spec, plan, cells, images, results, references)
+    notes = views_missing(plan, every_image)
+    notes += draw_pictures(spec, plan, cells, every_image, results, references)
     write_atomically(
         folder / "report.md", describe(spec, plan, cells, results, verdicts, reasons, sheets, notes).encode()
     )
 
     # one table a split: all side by side would not fit a screen
     tables = [layout.to_rich(sheets[0], group) for group in range(len(plan.splits))]
-    tables += [layout.to_rich(sheet) for sheet in sheets if sheet.title == layout.COST_TITLE]
+    tables += [layout.to_rich(sheet) for sheet in sheets if sheet.title == run_sheets.COST_TITLE]
     show(folder, tables, verdicts, console or Console())
+
+
+def views_missing(plan: Layout, images: pd.DataFrame) -> list[str]:
+    """Notes of views the table asks for and no finished run has."""
+    known = list(dict.fromkeys(images["view"]))
+    return [
+        f"columns.views: no finished run has a view {view!r}; there are {', '.join(known)}"
+        for view in plan.views
+        if known and not len(in_views(images, [view]))
+    ]
 
 
 def show(folder: Path, tables: list[Table], verdicts: pd.DataFrame, console: Console) -> None:
@@ -99,29 +116,32 @@ def make_sheets(spec: "Spec", plan: Layout, results: pd.DataFrame, reasons: dict
     where = f"Measured by this project ({shown})"
     sheets = [layout.quality_sheet(results, plan, "value", where, reasons)]
     sheets.append(layout.quality_sheet(results, plan, "half", "Half width of the 95 % interval of each mean"))
-    sheets.append(layout.cost_sheet(results, plan))
-    sheets.append(layout.error_sheet(results, plan))
+    sheets.append(run_sheets.cost_sheet(results, plan))
+    sheets += run_sheets.error_sheets(results, plan)
     if spec.published:
         sheets.append(layout.quality_sheet(results, plan, "published", layout.PUBLISHED_TITLE))
     return [sheet for i, sheet in enumerate(sheets) if sheet.rows or i == 0]
 
 
 def draw_pictures(spec, plan, cells, images, results, references) -> list[str]:
-    """Write the chart and the figure; returns notes of what is missing in them; removes old ones."""
+    """Write chart, curves and figure; returns notes of what is missing in them; removes old ones."""
+    folder = spec.report
     for name in ("chart.svg", "chart.png", "figure.png"):
-        (spec.report / name).unlink(missing_ok=True)
+        (folder / name).unlink(missing_ok=True)
     notes = []
     drawn = chart.draw(results, plan, spec.chart, chart_note(cells))
     if drawn is None:
         notes.append("no chart: no finished run has both of its figures")
     else:
-        chart.write(drawn, spec.report)
+        chart.write(drawn, folder)
+    notes += curve_charts.write_all(spec.curves, results, plan, folder, plan.splits[0])
+    notes += pictures.missing(spec.pictures, folder)
     if references is not None and spec.figure is not None:
         rows, missing = figure.gather(cells, images, plan, spec.figure, references)
         notes += missing
-        picture = figure.draw(rows, plan)
+        picture = figure.draw(rows, plan, spec.figure)
         if picture is not None:
-            figure.write(picture, spec.report)
+            figure.write(picture, folder)
     return notes
 
 
@@ -147,6 +167,7 @@ def describe(spec, plan: Layout, cells, results, verdicts, reasons, sheets, note
         parts.append("![Reference, methods and error maps](figure.png)")
     if (folder / "chart.svg").exists():
         parts.append("![Speed against accuracy](chart.svg)")
+    parts += curve_charts.markdown(spec.curves, folder) + pictures.markdown(spec.pictures, folder)
     parts += [
         layout.to_markdown(sheets[0]).strip(),
         "More tables: [table.md](table.md), [table.tex](table.tex).",
@@ -154,11 +175,11 @@ def describe(spec, plan: Layout, cells, results, verdicts, reasons, sheets, note
     if len(verdicts):
         parts += ["## Claims", claims_text(verdicts)]
     parts += ["## How it was run", how(done, spec.settings) if done else "No run has finished yet."]
-    costs = [s for s in sheets if s.title in (layout.COST_TITLE, layout.ERROR_TITLE)]
-    parts += [layout.to_markdown(sheet).strip() for sheet in costs]
+    again = (run_sheets.COST_TITLE, run_sheets.ERROR_TITLE, run_sheets.DIAGNOSTICS_TITLE)
+    parts += [layout.to_markdown(sheet).strip() for sheet in sheets if sheet.title.startswith(again)]
     parts += ["## Noise floor of the references", floor_text(results, plan)]
     parts += ["## What is missing", missing_text(plan, results, reasons, notes)]
-    parts += ["## How figures are defined", definitions(plan)]
+    parts += ["## How figures are defined", definitions(plan, results)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -266,9 +287,14 @@ def missing_text(plan: Layout, results: pd.DataFrame, reasons: dict, notes: list
     return "\n".join(lines) or "Nothing."
 
 
-def definitions(plan: Layout) -> str:
-    """The metrics' own definitions."""
+def definitions(plan: Layout, results: pd.DataFrame) -> str:
+    """The metrics' own definitions, those of the diagnostics beside them, and what means are taken over."""
     lines = [f"- {METRICS[m].label}: {METRICS[m].definition}" for m in plan.metrics]
+    for diagnostic in dict.fromkeys(map(diagnostic_of, results["metric"])):
+        if diagnostic is not None:
+            lines.append(f"- {diagnostic.label or diagnostic.name}: {diagnostic.definition}")
+    if plan.views:
+        lines.append(f"- Only test items with these views count: {', '.join(plan.views)}.")
     lines.append(
         "- Means are over test images (views times lightings, unseen in fitting), each first averaged over "
         "seeds; intervals count images of one view, or under one lighting, as one draw, whichever is wider."

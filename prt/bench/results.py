@@ -3,8 +3,9 @@
 Per-image figures stay available (:func:`read_images`), because claims compare image by image.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,6 +15,7 @@ import pandas as pd
 from prt.bench.run_folder import METRIC_COLUMNS, RunFolder
 from prt.cache import write_atomically
 from prt.errors import PrtError
+from prt.metrics.diagnostics import diagnostic_of
 from prt.metrics.intervals import Interval, mean_interval
 from prt.metrics.registry import BAD_PIXELS, metric_of
 
@@ -26,6 +28,7 @@ KEYS = COLUMNS[:8]
 #: what a published and a measured row must share to stand side by side (a paper has its own GPU and budget)
 PUBLISHED_KEYS = ["scene", "method", "variant", "split", "component", "metric"]
 FEW_GROUPS = 4
+#: timed for every method; a method's own parts are named in timing.json's ``parts``
 TIME_SCOPES = ("gbuffer", "light", "shade", "denoise")
 #: variant token of figures taken after denoising
 DENOISED = "denoised"
@@ -80,8 +83,9 @@ def is_cost(metric: str) -> bool:
 
 
 def measured_once(metric: str) -> bool:
-    """Whether a metric has one figure, not one an image, and so no split: costs, a benchmark's figures."""
-    return is_cost(metric) or metric.startswith(("ratio/", "paths/"))
+    """Whether a metric has one figure, not one an image, and so no split: costs, some diagnostics."""
+    known = diagnostic_of(metric)
+    return is_cost(metric) or (known is not None and known.once)
 
 
 def direction_of(metric: str) -> str:
@@ -92,16 +96,26 @@ def direction_of(metric: str) -> str:
     """
     if is_cost(metric):
         return "lower"
-    if metric in (BAD_PIXELS, "ratio/error"):
+    if metric == BAD_PIXELS:
         return "lower"
-    if metric == NOISE_FLOOR or metric.startswith(("ratio/", "paths/")):
+    if metric == NOISE_FLOOR:
         return "higher"
+    known = diagnostic_of(metric)
+    if known is not None:
+        return known.direction
+    # a part of an image metric's error, as psnr/fit
     return metric_of(metric.partition("/")[0]).direction
 
 
 def join_variant(*tokens: str) -> str:
     """Tokens as one variant: ``wavelets=64,denoised``."""
     return ",".join(token for token in tokens if token)
+
+
+def variant_tokens(variant: str) -> dict[str, str]:
+    """The inverse of :func:`join_variant`, by name: ``{"wavelets": "64", "denoised": ""}``."""
+    parts = (token.partition("=") for token in variant.split(",") if token)
+    return {name: value for name, _, value in parts}
 
 
 def read_images(cells: Iterable[Cell]) -> pd.DataFrame:
@@ -129,6 +143,14 @@ def read_images(cells: Iterable[Cell]) -> pd.DataFrame:
         )
         frames.append(frame[IMAGE_COLUMNS])
     return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=IMAGE_COLUMNS)
+
+
+def in_views(images: pd.DataFrame, views: Sequence[str]) -> pd.DataFrame:
+    """The figures of test items whose view is in the list (``*`` stands for any text); all without one."""
+    if not views:
+        return images
+    names = images["view"].map(lambda name: any(fnmatchcase(str(name), view) for view in views))
+    return cast(pd.DataFrame, images[names.astype(bool)])
 
 
 def summarise(cells: list[Cell], images: pd.DataFrame, published: pd.DataFrame | None = None) -> pd.DataFrame:
@@ -179,7 +201,8 @@ def _cost_rows(cells: list[Cell]) -> list[dict[str, Any]]:
 
     for cell in cells:
         timing = cell.run.timing() if cell.done else {}
-        scopes = {scope: timing[scope] for scope in TIME_SCOPES if isinstance(timing.get(scope), dict)}
+        names = (*TIME_SCOPES, *timing.get("parts", ()))
+        scopes = {scope: timing[scope] for scope in names if isinstance(timing.get(scope), dict)}
         denoised = join_variant(cell.variant, DENOISED)
         for scope, entry in scopes.items():
             # denoising belongs to the denoised images; all else is spent either way

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from prt.bench.claims import SPLITS, Claim, Term
+from prt.bench.claims import Claim, Term
 from prt.bench.results import NOISE_FLOOR, direction_of, image_interval, measured_once, over_seeds
 from prt.metrics.intervals import Interval
 
@@ -33,6 +33,7 @@ class Evidence:
     reasons: dict[tuple[str, str], str] = field(
         default_factory=dict
     )  #: (scene, method) -> why it has no figures
+    once: bool = False  #: whether every figure was taken once and stands in ``results``: a benchmark's
 
 
 def judge(claims: list[Claim], evidence: Evidence) -> pd.DataFrame:
@@ -125,26 +126,42 @@ def _side(terms: tuple[Term, ...], claim: Claim, scene: str, evidence: Evidence)
 def _figures(term: Term, claim: Claim, scene: str, evidence: Evidence) -> _Side:
     if not term.method:
         return _Side(None, Interval(term.number, term.number, term.number, 1), frozenset(), math.inf)
-    split = "" if measured_once(claim.metric) else term.split or claim.split
-    source = evidence.results if measured_once(claim.metric) else evidence.images
-    wanted = (
-        (source["scene"] == scene) & (source["method"] == term.method) & (source["variant"] == term.variant)
-        & (source["metric"] == claim.metric) & (source["component"] == claim.component)
-        & (source["split"] == split)
-    )  # fmt: skip
-    rows = source[wanted & source["value"].notna()] if measured_once(claim.metric) else source[wanted]
+    split = term.split or claim.split
+
+    def found(source: pd.DataFrame, split: str) -> pd.DataFrame:
+        wanted = (
+            (source["scene"] == scene) & (source["method"] == term.method)
+            & (source["variant"] == term.variant) & (source["metric"] == claim.metric)
+            & (source["component"] == claim.component) & (source["split"] == split)
+        )  # fmt: skip
+        return source.loc[wanted]
+
+    if evidence.once or measured_once(claim.metric):
+        places = dict.fromkeys([split, ""] if evidence.once else [""])
+        rows = pd.concat([found(evidence.results, place) for place in places])
+        rows = rows[rows["value"].notna()]
+        if len(rows):
+            row = rows.iloc[0]
+            value, lo, hi = (float(row[name]) for name in ("value", "lo", "hi"))
+            lo, hi = (value if bound != bound else bound for bound in (lo, hi))
+            return _Side(None, Interval(value, lo, hi, 1), frozenset(), math.inf)
+    # also what is usually measured once, where a task took it image by image
+    rows = found(evidence.images, split)
     if not len(rows):
-        name = term.method + (f"[{term.variant}]" if term.variant else "")
-        reason = evidence.reasons.get((scene, term.method), f"no {claim.metric} figures")
-        raise _Missing(f"{name}: {reason}")
-    if measured_once(claim.metric):
-        row = rows.iloc[0]
-        value, lo, hi = (float(row[name]) for name in ("value", "lo", "hi"))
-        lo, hi = (value if bound != bound else bound for bound in (lo, hi))
-        return _Side(None, Interval(value, lo, hi, 1), frozenset(), math.inf)
+        raise _Missing(_why_missing(term, claim, scene, split, evidence))
     values = over_seeds(rows)
     interval = image_interval(values)
     return _Side(values, interval, frozenset([split]), interval.mean)
+
+
+def _why_missing(term: Term, claim: Claim, scene: str, split: str, evidence: Evidence) -> str:
+    name = term.method + (f"[{term.variant}]" if term.variant else "")
+    images = evidence.images
+    known = list(dict.fromkeys(images.loc[images["scene"] == scene, "split"]))
+    reason = f"no {claim.metric} figures"
+    if split and known and split not in known:
+        reason += f" of split {split}, there are {', '.join(known)}"
+    return f"{name}: {evidence.reasons.get((scene, term.method), reason)}"
 
 
 def _difference(left: _Side, right: _Side) -> Interval:
@@ -169,5 +186,6 @@ def _noise_floor(claim: Claim, scene: str, evidence: Evidence) -> float | None:
         return None
     r = evidence.results
     rows = r[(r["scene"] == scene) & (r["metric"] == NOISE_FLOOR) & (r["component"] == claim.component)]
-    values = rows.loc[rows["split"].isin([claim.split] if claim.split else SPLITS), "value"].dropna()
+    splits = {term.split or claim.split for term in (*claim.better, *claim.than) if term.method}
+    values = rows.loc[rows["split"].isin(list(splits)), "value"].dropna()
     return float(values.min()) if len(values) else None

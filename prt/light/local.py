@@ -45,6 +45,10 @@ class LocalLight:
             raise PrtError(f"light kind {self.kind!r} is not one of {', '.join(KINDS)}")
         if not all(math.isfinite(c) and c >= 0 for c in self.color):
             raise PrtError(f"light color {self.color} must be finite and not negative")
+        if not all(math.isfinite(c) for c in self.position):
+            raise PrtError(f"light position {self.position} must be finite")
+        if self.kind != "point" and not abs(math.hypot(*self.direction) - 1) < 1e-3:
+            raise PrtError(f"light direction {self.direction} of a {self.kind} light must have length 1")
         if self.kind == "spot" and not 0 < self.beam <= self.cutoff < 90:
             raise PrtError(f"spot light: 0 < beam={self.beam} <= cutoff={self.cutoff} < 90 degrees must hold")
 

@@ -49,7 +49,7 @@ class GBuffer:
 
     def to(self, device: torch.device | str) -> Self:
         parts = {name: getattr(self, name).to(device) for name in (*self.FIELDS, "hit")}
-        return type(self)(**parts, view=self.view)
+        return dataclasses.replace(self, **parts)
 
     def image(self, values: Float[Tensor, "N C"]) -> Float[Tensor, "H W C"]:
         """Put per-point values back into the image; pixels that hit nothing are zero."""

@@ -1,4 +1,4 @@
-"""What a lightmap asks of an asset: where its texels lie, where light is measured, what a pixel shows of it."""
+"""What a lightmap asks of an asset: where its texels lie, where light is measured, what a pixel shows."""
 
 import dataclasses
 
@@ -52,12 +52,23 @@ class AtlasGBuffer(GBuffer):
     Attributes:
         triangle: of the asset's mesh (``SurfaceAsset.mesh``), -1 where it is not made of triangles.
         barycentric: weights of the triangle's second and third corner.
+        supersample: samples along each side of a pixel: ``view`` has that many more pixels a side than the
+            images that :meth:`image` makes.
     """
 
     triangle: Int[Tensor, "N"] = dataclasses.field(kw_only=True)
     barycentric: Float[Tensor, "N 2"] = dataclasses.field(kw_only=True)
+    supersample: int = dataclasses.field(default=1, kw_only=True)
 
     FIELDS = (*GBuffer.FIELDS, "triangle", "barycentric")
+
+    def image(self, values: Float[Tensor, "N C"]) -> Float[Tensor, "H W C"]:
+        """Means over the samples of each pixel; samples that hit nothing are zero."""
+        fine, many = super().image(values), self.supersample
+        if many == 1:
+            return fine
+        height, width, channels = fine.shape
+        return fine.view(height // many, many, width // many, many, channels).mean((1, 3))
 
 
 @dataclasses.dataclass

@@ -26,6 +26,12 @@ class Scene:
             next-event samples from the lighting prior (rooms lit through openings).
     """
 
+    #: keyframes of an animated scene; 1 where nothing moves
+    poses: int = 1
+    #: ``volume`` where light passes through the surface into a medium that scatters it, which takes a
+    #: volumetric integrator; None where surfaces only reflect or refract
+    medium: str | None = None
+
     def __init__(
         self,
         name: str,
@@ -54,13 +60,39 @@ class Scene:
         """Plain JSON data that determines geometry and materials."""
         raise NotImplementedError
 
+    def posed(self, pose: int) -> "Scene":
+        """The scene at keyframe ``pose``; itself at 0. Shapes, faces and their order are the same in all.
+
+        Raises:
+            PrtError: if there is no such keyframe.
+        """
+        if pose not in range(self.poses):
+            has = "only pose 0" if self.poses == 1 else f"poses 0 to {self.poses - 1}"
+            raise PrtError(f"pose={pose!r}: scene {self.name} has {has}; choose one of them")
+        return self
+
     def load(self, emitter: dict[str, Any] | None = None):
         """The ``mi.Scene`` with exactly this emitter, or with none."""
+        return self.load_with({} if emitter is None else {"lighting": emitter})
+
+    def load_with(self, emitters: dict[str, dict[str, Any]]):
+        """The ``mi.Scene`` with exactly these emitters, by name.
+
+        Names are free: a shape of the same name gives way, for shapes of a file are called as they like.
+        """
         mi = mitsuba()
-        content = {"type": "scene", **self.description()}
-        if emitter is not None:
-            content["lighting"] = emitter
-        return mi.load_dict(content)
+        content: dict[str, Any] = {"type": "scene"}
+        for key, shape in self.description().items():
+            while key in emitters or key in content:
+                key += "_shape"
+            content[key] = shape
+        return mi.load_dict({**content, **emitters})
+
+    def asset(self, texels: int) -> Any:
+        """The scene as an asset that a lightmap of about ``texels`` a side is baked for."""
+        from prt.scene.asset import SurfaceAsset
+
+        return SurfaceAsset(self, texels)
 
     @property
     def bounds(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

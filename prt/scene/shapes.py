@@ -94,11 +94,16 @@ def parametric(surface: Surface, columns: int, rows: int, closed_v: bool = False
     )
 
 
-def to_mesh(name: str, data: MeshData, bsdf: dict[str, Any]) -> Any:
-    """A ``mi.Mesh`` of this data with this BSDF, ready to stand in a scene description."""
+def to_mesh(name: str, data: MeshData, bsdf: Any, interior: Any = None) -> Any:
+    """A ``mi.Mesh`` of this data with this BSDF (a dict or a ``mi.BSDF``), ready for a scene description.
+
+    ``interior`` is the ``mi.Medium`` within, if there is one.
+    """
     mi = mitsuba()
     properties = mi.Properties()
-    properties["mesh_bsdf"] = mi.load_dict(bsdf)
+    properties["mesh_bsdf"] = mi.load_dict(bsdf) if isinstance(bsdf, dict) else bsdf
+    if interior is not None:
+        properties["interior"] = interior
     mesh = mi.Mesh(
         name,
         vertex_count=len(data.position),

@@ -21,6 +21,7 @@ from prt.scene.gbuffer import GBuffer
 from prt.scene.scene import Scene
 from prt.scene.view import View
 from prt.tasks import importance
+from prt.tasks.test_item import TestItem
 from prt.trace.denoise import denoise
 from prt.trace.record import record
 from prt.trace.reference import noise_floor, render
@@ -56,27 +57,6 @@ class Training:
         origins = torch.tensor([view.origin for view in self.views])[self.point_view]
         widths = torch.tensor([2 * v.half_width / v.width for v in self.views])
         return float(((self.gbuffer.position - origins).norm(dim=1) * widths[self.point_view]).median())
-
-
-@dataclasses.dataclass
-class TestItem:
-    """One view under one lighting, neither seen in training, with its references.
-
-    Attributes:
-        references: component to (H, W, 3) linear radiance, no background.
-        noise_floor: component to the PSNR in dB that the reference has against the truth, estimated from its
-            two independent halves; what the denoiser changes in both alike is not seen by it.
-        direct: direct light of another seed, added to an indirect prediction to give the full image.
-    """
-
-    split: str
-    view_name: str
-    lighting_name: str
-    lighting: Float[Tensor, "6 R R 3"]
-    gbuffer: GBuffer
-    references: dict[str, Tensor]
-    noise_floor: dict[str, float]
-    direct: Float[Tensor, "H W 3"]
 
 
 class RelightIndirect:
@@ -293,13 +273,13 @@ class RelightIndirect:
         raise PrtError(f"task {self.name} scores methods that predict indirect light, not {component}")
 
     def error_split(self, item: TestItem, image: Tensor, method: Any) -> dict[str, float]:
-        """PSNR of the indirect image's error parts: truncation of the lighting, fit, noise of the reference.
+        """``psnr/truncation``, ``psnr/fit``, ``psnr/noise``: the indirect image's error parts, in dB.
 
         The truncated truth is the reference less the recorded transport of the lighting's lost part. Records
         are noisy, so each squared error is the product of two estimates from independent records.
         """
         reference = item.references["indirect"]
-        parts = {"noise": item.noise_floor["indirect"]}
+        parts = {"psnr/noise": item.noise_floor["indirect"]}
         if hasattr(method, "truncated") and item.gbuffer.view is not None:
             lost = (item.lighting - method.truncated(item.lighting)).reshape(1, -1, 3)
             exposure = exposure_of(reference.numpy())
@@ -309,8 +289,8 @@ class RelightIndirect:
                 _, transport = self.recorded(item.gbuffer.view, self.split_spp, 9000 + 2 * self.seed + half)
                 missing = transport.component("indirect").relight(lost)[0].view(reference.shape)
                 kept.append(to_srgb(reference - missing, exposure))
-            parts["truncation"] = product_psnr(whole - kept[0], whole - kept[1])
-            parts["fit"] = product_psnr(fitted - kept[0], fitted - kept[1])
+            parts["psnr/truncation"] = product_psnr(whole - kept[0], whole - kept[1])
+            parts["psnr/fit"] = product_psnr(fitted - kept[0], fitted - kept[1])
         return parts
 
 

@@ -1,5 +1,7 @@
 """Open Image Denoise (Intel), through ``mitsuba-oidn``; the same on references and on path-traced methods."""
 
+from typing import Literal
+
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -21,6 +23,7 @@ def denoise(
     image: Float[Tensor, "H W 3"],
     albedo: Float[Tensor, "H W 3"] | None = None,
     normal: Float[Tensor, "H W 3"] | None = None,
+    kind: Literal["RT", "RTLightmap"] = "RT",
 ) -> Float[Tensor, "H W 3"]:
     """Remove Monte Carlo noise from a linear radiance image of any component.
 
@@ -29,6 +32,7 @@ def denoise(
             filter and come back as zero: radiance is not negative.
         albedo: in [0, 1], zero where no surface is; noise-free (from the G-buffer).
         normal: world space, zero where no surface is; only used together with ``albedo``.
+        kind: the filter: ``RT`` for images, ``RTLightmap`` for lightmaps, which takes no guides.
 
     Raises:
         PrtError: if the denoiser is missing, shapes differ, or the image holds NaN or infinity.
@@ -62,5 +66,7 @@ def denoise(
     # the filter's own estimate of the exposure is the log average of luminance, which a mostly black image
     # (indirect light without background) drives astray; scale by the mean of what is lit instead
     scale = 0.18 / float(colour[colour.max(axis=2) > 0].mean())
-    out = mitsuba_oidn.denoise(colour, **guides, hdr=True, clean_aux=bool(guides), input_scale=scale)
+    out = mitsuba_oidn.denoise(
+        colour, **guides, hdr=True, clean_aux=bool(guides), input_scale=scale, filter=kind
+    )
     return torch.from_numpy(np.maximum(np.asarray(out), 0)).to(image.device)

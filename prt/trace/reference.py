@@ -8,6 +8,7 @@ with a sphere of opacity 0.4). Masks of opacity 0 or 1 are exact. The recorder k
 import functools
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -38,17 +39,10 @@ class ReferenceRenderer:
     """
 
     def __init__(self, scene: Scene, resolution: int, max_depth: int | None = None):
-        mi = mitsuba()
         self.max_depth = scene.max_depth if max_depth is None else max_depth
         self.mi_scene = scene_with_lighting(scene, torch.zeros((6, resolution, resolution, 3)))
 
-        def integrator(bounces: int):
-            # our D surface bounces are Mitsuba's max_depth D + 1, which counts the emitter
-            return mi.load_dict({"type": "path", "max_depth": bounces + 1, "hide_emitters": True})
-
-        self.integrators = {"full": integrator(self.max_depth), "direct": integrator(1)}
-        if self.max_depth == 1:
-            del self.integrators["full"]
+        self.integrators = component_integrators(self.max_depth)
 
     def render(
         self, view: View, lighting: Float[Tensor, "6 R R 3"], spp: int, seed: int
@@ -62,24 +56,8 @@ class ReferenceRenderer:
         Raises:
             PrtError: if spp is below 1, or the lighting does not fit (see ``set_lighting``).
         """
-        mi = mitsuba()
-        if spp < 1:
-            raise PrtError(f"reference spp={spp} must be at least 1")
         set_lighting(self.mi_scene, lighting)
-        sensor = mi.load_dict(sensor_description(view))
-        most = max(1, WAVEFRONT // (view.width * view.height))
-        sums = {name: np.zeros((view.height, view.width, 3)) for name in self.integrators}
-        for number, done in enumerate(range(0, spp, most)):
-            count = min(most, spp - done)
-            chunk_seed = int(np.random.SeedSequence([seed & 0xFFFFFFFF, number]).generate_state(1)[0])
-            for name, integrator in self.integrators.items():
-                image = mi.render(
-                    self.mi_scene, sensor=sensor, integrator=integrator, spp=count, seed=chunk_seed
-                )
-                sums[name] += np.array(image, dtype=np.float64) * (count / spp)
-        sums.setdefault("full", sums["direct"])
-        sums["indirect"] = np.maximum(sums["full"] - sums["direct"], 0)  # below zero by rounding only
-        return {name: torch.from_numpy(sums[name]).float() for name in COMPONENTS}
+        return render_components(self.mi_scene, self.integrators, view, spp, seed)
 
     def render_with_floor(
         self, view: View, lighting: Float[Tensor, "6 R R 3"], spp: int, seed: int,
@@ -90,6 +68,48 @@ class ReferenceRenderer:
         mean = {name: (halves[0][name] + halves[1][name]) / 2 for name in COMPONENTS}
         floor = {name: noise_floor(halves[0][name], halves[1][name], psnr) for name in COMPONENTS}
         return mean, floor
+
+
+def component_integrators(max_depth: int) -> dict[str, Any]:
+    """``path`` integrators of the components ``full`` (where it is more than direct light) and ``direct``."""
+    mi = mitsuba()
+
+    def integrator(bounces: int):
+        # our D surface bounces are Mitsuba's max_depth D + 1, which counts the emitter
+        return mi.load_dict({"type": "path", "max_depth": bounces + 1, "hide_emitters": True})
+
+    found = {"full": integrator(max_depth), "direct": integrator(1)}
+    if max_depth == 1:
+        del found["full"]
+    return found
+
+
+def render_components(
+    mi_scene: Any, integrators: dict[str, Any], view: View, spp: int, seed: int
+) -> dict[str, Float[Tensor, "H W 3"]]:
+    """Images ``full``, ``direct`` and ``indirect`` of a lit scene; ``indirect`` is their exact difference.
+
+    Args:
+        integrators: from :func:`component_integrators`; all use the same random numbers.
+
+    Raises:
+        PrtError: if spp is below 1.
+    """
+    mi = mitsuba()
+    if spp < 1:
+        raise PrtError(f"reference spp={spp} must be at least 1")
+    sensor = mi.load_dict(sensor_description(view))
+    most = max(1, WAVEFRONT // (view.width * view.height))
+    sums = {name: np.zeros((view.height, view.width, 3)) for name in integrators}
+    for number, done in enumerate(range(0, spp, most)):
+        count = min(most, spp - done)
+        chunk_seed = int(np.random.SeedSequence([seed & 0xFFFFFFFF, number]).generate_state(1)[0])
+        for name, integrator in integrators.items():
+            image = mi.render(mi_scene, sensor=sensor, integrator=integrator, spp=count, seed=chunk_seed)
+            sums[name] += np.array(image, dtype=np.float64) * (count / spp)
+    sums.setdefault("full", sums["direct"])
+    sums["indirect"] = np.maximum(sums["full"] - sums["direct"], 0)  # below zero by rounding only
+    return {name: torch.from_numpy(sums[name]).float() for name in COMPONENTS}
 
 
 def render(

@@ -77,7 +77,7 @@ class FakeTask:
         return {component: image, "full": image + 1.0}
 
     def error_split(self, item: FakeItem, image: Tensor, method: Any) -> dict[str, float]:
-        return {"truncation": 30.0}
+        return {"psnr/truncation": 30.0, "negative/share": 0.25}
 
 
 class FakeMethod:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,8 +36,17 @@ def make_run(
     spread: float = 0.2,
     images: bool = False,
     denoise: bool = True,
+    splits: Sequence[str] = ("near", "far"),
+    views: Sequence[str] = VIEWS,
+    extra: dict[str, float] | None = None,
+    parts: dict[str, float] | None = None,
+    bake: float | None = None,
+    shade: float | None = None,
 ) -> Cell:
-    """One run folder; figures of an image are ``psnr`` + the method's gain + small fixed differences."""
+    """One run folder; figures of an image are ``psnr`` + the method's gain + small fixed differences.
+
+    ``extra`` are further figures of every indirect image, ``parts`` seconds of a method's own parts.
+    """
     run = RunFolder(root / "relight_indirect" / scene / method / f"{variant or 'plain'}{seed}")
     cell = Cell(scene, method, variant, seed, "laptop", run)
     if state == "absent":
@@ -58,8 +68,8 @@ def make_run(
         return cell
     rng = np.random.default_rng(len(scene) * 7 + seed)
     rows = []
-    for split in ("near", "far"):
-        for view in VIEWS:
+    for split in splits:
+        for view in views:
             for light in LIGHTS:
                 noise = spread * rng.standard_normal()
                 for component in ("full", "indirect"):
@@ -76,6 +86,8 @@ def make_run(
                             write_exr(path, torch.from_numpy(noisy.astype(np.float32)))
                     rows.append((split, view, light, component, "false", "noise_floor", repr(floor)))
                 rows.append((split, view, light, "indirect", "false", "psnr/truncation", repr(44.0 + noise)))
+                rows += [(split, view, light, "indirect", "false", name, repr(value * (1 + 0.01 * noise)))
+                         for name, value in (extra or {}).items()]  # fmt: skip
     with (run.path / "metrics.csv").open("w", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([METRIC_COLUMNS, *rows])
 
@@ -84,11 +96,14 @@ def make_run(
 
     timing = {
         "light": repeated(0.004),
-        "shade": repeated(SHADE.get(method, 0.05)),
+        "shade": repeated(shade or SHADE.get(method, 0.05)),
         "gbuffer": repeated(0.003),
     }
     timing |= {"denoise": repeated(0.01)} if denoise else {}
     timing |= {"fit": 480.0 + seed, "bytes": 2_000_000, "device": "cpu", "threads": 2, "pixels": 16384}
+    timing |= {name: repeated(value) for name, value in (parts or {}).items()}
+    timing |= {"parts": list(parts)} if parts else {}
+    timing |= {} if bake is None else {"bake": bake}
     (run.path / "timing.json").write_text(json.dumps(timing))
     (run.path / "DONE").write_text("now\n")
     return cell

@@ -3,6 +3,7 @@
 import csv
 from pathlib import Path
 
+import pandas as pd
 import pytest
 import tiny
 
@@ -87,6 +88,65 @@ def test_a_scene_that_fails_does_not_cost_the_others(made, capsys):
     # with nothing measured there is no report
     assert cli.main(["table", "made", "scene=mirror_room", "benchmark.fail=mirror_room"]) == 2
     assert "out of luck" in capsys.readouterr().err
+
+
+def drawing(scene, lighting, size, folder, draws="all"):
+    """As :func:`made_up` over sizes, with a picture of its own for every scene."""
+    if draws in ("all", scene.name):
+        (folder / f"{scene.name}.png").write_bytes(b"a picture")
+    rows = []
+    for n in (4, 16):
+        place = {"method": "record", "device": "a CPU", "variant": f"mode=a,size={n}", "component": "full"}
+        for metric in ("condition/matrix", "rmse"):
+            rows.append({**place, "metric": metric, "value": 1 / n, "lo": 0.9 / n, "hi": 1.1 / n, "n": 9})
+    return rows
+
+
+DRAWING = """
+title: A benchmark that draws
+benchmark: {_target_: test_benchmark.drawing, size: 4}
+grid: {scene: [cornell_glossy, mirror_room]}
+common: [budget=smoke]
+claims:
+  - record[mode=a,size=16] > record[mode=a,size=4] on condition/matrix/full, every scene
+  - record[mode=a,size=16] > record[mode=a,size=4] on rmse/full, every scene
+curves:
+  - {file: error, x: size, y: [rmse/full, condition/matrix/full], group: scene, log: [x]}
+pictures:
+  - {file: cornell_glossy.png, caption: What it looks like}
+  - {file: mirror_room.png}
+"""
+
+
+def test_a_benchmark_draws_its_own_pictures_and_curves(made, capsys):
+    (made.parents[1] / "experiments" / "made.yaml").write_text(DRAWING)
+    assert cli.main(["table", "made"]) == 0
+    names = {path.name for path in made.iterdir()}
+    assert {"error.svg", "error.png", "cornell_glossy.png", "mirror_room.png"} <= names
+    report = (made / "report.md").read_text()
+    assert "![What it looks like](cornell_glossy.png)\n\n*What it looks like*" in report
+    assert "![mirror_room.png](mirror_room.png)" in report and "![error](error.svg)" in report
+    # figures of a benchmark need no split, whatever their metric
+    assert report.count("✔ holds | holds on 2") == 2
+    # one that is not drawn again does not stay
+    assert cli.main(["table", "made", "benchmark.draws=mirror_room", f"report={made}"]) == 0
+    assert not (made / "cornell_glossy.png").exists() and (made / "mirror_room.png").exists()
+    report = (made / "report.md").read_text()
+    assert "no picture cornell_glossy.png: it was not written" in report
+    assert "](cornell_glossy.png)" not in report
+    # a dry run removes nothing
+    assert cli.main(["table", "made", "--dry-run", f"report={made}"]) == 0
+    assert (made / "mirror_room.png").exists()
+    assert cli.main(["table", "made", "benchmark.folder=x"]) == 2
+    assert "folder" in capsys.readouterr().err
+
+
+def test_rows_of_a_benchmark_may_have_splits():
+    spec = table.load_spec(str(ROOT / "experiments" / "performance" / "record.yaml"))
+    rows = [{"scene": "box", "method": "m", "variant": "", "component": "full", "metric": "rmse", "value": v,
+             "split": s} for s, v in (("same", 1.0), ("points", 2.0))]  # fmt: skip
+    found = benchmark.sheet(spec, pd.DataFrame(rows, columns=COLUMNS))
+    assert [lead[-1] for lead, _ in found.rows] == ["same", "points"]
 
 
 def test_dry_run_measures_nothing(made, capsys):

@@ -77,6 +77,52 @@ def test_files_are_whole_and_the_same_again(results, tmp_path):
     assert min(pixels.shape[:2]) > 300 and pixels[..., :3].std() > 0.02
 
 
+@pytest.fixture
+def ladder(tmp_path):
+    """One method at three sizes, the larger the slower and the better, and a method without variants."""
+    sizes = {"basis=4": 24.0, "basis=16": 30.0, "basis=64": 33.0}
+    cells = [
+        make_run(tmp_path, "box", "svd", variant=v, psnr=psnr, shade=0.01 * (i + 1), denoise=False)
+        for i, (v, psnr) in enumerate(sizes.items())
+    ]
+    cells.append(make_run(tmp_path, "box", "neural_prt", denoise=False))
+    plan = Layout(["box"], [(c.method, c.variant) for c in reversed(cells)], labels={"svd": "SVD"})
+    return summarise(cells, read_images(cells)), plan
+
+
+def test_variants_of_one_method_are_one_ladder(ladder):
+    results, plan = ladder
+    found = points(results, plan, Axis.parse("time/frame"), Axis.parse("psnr/indirect"), "far")
+    ((key, rungs),) = chart.ladders(found).items()
+    assert key == ("box", "svd", False)
+    assert [p.variant for p in rungs] == ["basis=4", "basis=16", "basis=64"]  # not in the grid's order
+    figure = draw(results, plan, {})
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels[:2] == ["neural prt", "SVD (basis)"]
+    (axis,) = figure.axes
+    assert {"4", "16", "64"} <= {text.get_text() for text in axis.texts}
+    joined = [line for line in axis.lines if len(line.get_xdata()) == 3 and line.get_alpha() == 0.7]
+    assert len(joined) == 1 and np.all(np.diff(joined[0].get_xdata()) > 0)
+    assert joined[0].get_color() == chart.COLOURS[1]
+
+
+def test_variants_are_named_by_what_changes():
+    assert chart.varying(["basis=4,lambda=0.1", "basis=8,lambda=0.1"]) == ["basis"]
+    assert chart.varying(["", "wavelets=16"]) == ["wavelets"] and chart.varying(["basis=4"]) == []
+    assert chart.rung_name("basis=4,lambda=0.1", ["basis"]) == "4"
+    assert chart.rung_name("", ["wavelets"]) == "–"
+
+
+def test_costs_stand_on_either_axis_in_their_own_unit(results):
+    figure = draw(results, PLAN, {"x": "bytes/model", "y": "time/shade"})
+    assert figure.axes[0].get_xlabel() == "model size (MB)"
+    assert figure.axes[0].get_ylabel().startswith("time to shade a frame (ms)")
+    low, high = figure.axes[0].get_ylim()
+    assert low < 20 and 80 < high < 200
+    assert Axis.parse("time/measure").label == "time to measure (ms)"
+    assert Axis.parse("rmse/bound/indirect").label == "RMSE bound, indirect (radiance)"
+
+
 def test_nothing_to_draw_and_wrong_axes(results):
     assert draw(results[results["metric"] != "time/frame"], PLAN, {}) is None
     with pytest.raises(PrtError, match="psnr/everything"):

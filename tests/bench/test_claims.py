@@ -63,6 +63,50 @@ def test_alternatives_expand():
 
 
 @pytest.mark.parametrize(
+    ("text", "variants", "splits"),
+    [
+        ("a > b on rmse/indirect, same, every scene", ["", ""], ["", ""]),
+        ("a[basis=16] > b[points] on psnr/full, far, every scene", ["basis=16", ""], ["", "points"]),
+        ("a[denoised, closer] > a[same,denoised] on psnr/full, every scene", ["denoised"] * 2,
+         ["closer", "same"]),
+        ("a[basis=16,lambda=1e-2,near] > 3 on psnr/full, every scene", ["basis=16,lambda=1e-2", ""],
+         ["near", ""]),
+    ],
+)  # fmt: skip
+def test_words_in_brackets_are_splits_and_pairs_are_variants(text, variants, splits):
+    (claim,) = parse_claims([text])
+    terms = [*claim.better, *claim.than]
+    assert [t.variant for t in terms] == variants and [t.split for t in terms] == splits
+
+
+def test_any_single_word_is_a_split_and_scopes_are_none():
+    claims = parse_claims(["a > b on psnr/full, same|points|directional, scene box den"])
+    assert [c.split for c in claims] == ["same", "points", "directional"]
+    assert all(c.scenes == ("box", "den") for c in claims)
+
+
+def test_a_split_that_was_not_measured_is_named(both):
+    row = judge(parse_claims(["wavelet_neural > neural_prt on psnr/full, points, every scene"]), both).iloc[0]
+    assert row["verdict"] == "undecided"
+    assert row["note"] == "wavelet_neural: no psnr figures of split points, there are near, far"
+
+
+def test_diagnostics_are_judged_by_their_own_direction(tmp_path):
+    cells = [make_run(tmp_path, "box", m, extra={"rmse/bound": v, "negative/share": v})
+             for m, v in (("wavelet_neural", 0.1), ("neural_prt", 0.3))]  # fmt: skip
+    found = evidence(*cells)
+    for metric in ("rmse/bound", "negative/share"):
+        assert (
+            verdict(f"wavelet_neural > neural_prt on {metric}/indirect, far, every scene", found) == "holds"
+        )
+    # usually taken once; a task that takes it image by image is served too
+    cells = [make_run(tmp_path / "once", "box", m, extra={"condition/transfer": v})
+             for m, v in (("wavelet_neural", 10.0), ("neural_prt", 30.0))]  # fmt: skip
+    text = "wavelet_neural > neural_prt on condition/transfer/indirect, far, every scene"
+    assert verdict(text, evidence(*cells)) == "holds"
+
+
+@pytest.mark.parametrize(
     ("text", "says"),
     [
         ("a > b", "no ` on"),
@@ -72,6 +116,11 @@ def test_alternatives_expand():
         ("a > b on psnr/full, far", "which scenes"),
         ("a > b on psnr/full, far, all scenes", "'all scenes'"),
         ("a ~ b on psnr/full, far, every scene", "within"),
+        ("a > b on psnr/full, far, scene", "'scene'"),
+        ("a > b on psnrr/full, far, every scene", "unknown metric 'psnrr'; choose from psnr"),
+        ("a > b on psnr/full, far, near, every scene", "'near'"),
+        ("a[near, far] > b on psnr/full, every scene", "two splits, near and far"),
+        ("a[not-a-word] > b on psnr/full, far, every scene", "neither key=value, denoised nor a split"),
         ("a > b! on psnr/full, far, every scene", "neither a method nor a number"),
     ],
 )

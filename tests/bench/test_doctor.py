@@ -43,6 +43,21 @@ def test_a_cache_that_cannot_be_written_is_broken(monkeypatch, tmp_path):
     assert finding.state == "broken" and "set PRT_CACHE" in finding.detail
 
 
+def test_the_glsl_renderer_is_named_or_missing_with_a_reason(monkeypatch):
+    from prt.methods import blend_shader
+
+    monkeypatch.setattr(blend_shader, "device_name", lambda: "a renderer")
+    (finding,) = doctor.glsl()
+    assert (finding.state, finding.detail) == ("ok", "works with a renderer")
+
+    def fail():
+        raise PrtError("no EGL; install it")
+
+    monkeypatch.setattr(blend_shader, "device_name", fail)
+    (finding,) = doctor.glsl()
+    assert (finding.state, finding.detail) == ("missing", "no EGL; install it")
+
+
 def test_packages_of_this_environment_are_found():
     states = {finding.what: finding.state for finding in doctor.packages()}
     assert states["torch"] == "ok" and states["python"] == "ok"

@@ -9,6 +9,7 @@ from synthetic_runs import fake_references, make_run, reference
 from prt.bench import figure
 from prt.bench.layout import Layout
 from prt.bench.results import read_images
+from prt.errors import PrtError
 from prt.metrics.tonemap import exposure_of, to_srgb
 
 METHODS = [("wavelet_neural", ""), ("neural_prt", ""), ("path_traced", "")]
@@ -60,6 +61,52 @@ def test_drawn_with_labels_and_the_best_in_bold(cells, tmp_path):
     assert matplotlib.image.imread(tmp_path / "figure.png").std() > 0.1
     figure.write(figure.draw(rows, PLAN), tmp_path)
     assert (tmp_path / "figure.png").read_bytes() == first
+
+
+def test_rows_of_other_splits_views_and_components_with_labels_of_their_own(tmp_path):
+    views = ("lightmap", "frame00")
+    cells = [make_run(tmp_path, "box", m, images=True, splits=("same", "points"), views=views)
+             for m, _ in PLAN.methods]  # fmt: skip
+    entries = [
+        {
+            "scene": "box",
+            "split": "same",
+            "view": "lightmap",
+            "lighting": "forest",
+            "label": "In texture space",
+        },
+        {"scene": "box", "split": "points", "view": "frame00", "component": "full"},
+    ]
+    settings = {"component": "indirect", "rows": entries, "columns": ["path_traced", "wavelet neural"]}
+    rows, notes = figure.gather(cells, read_images(cells), PLAN, settings, fake_references)
+    assert notes == [] and [(r.split, r.view, r.component) for r in rows] == [
+        ("same", "lightmap", "indirect"), ("points", "frame00", "full")
+    ]  # fmt: skip
+    assert list(rows[0].pictures) == ["path traced", "wavelet neural"]
+    drawn = figure.draw(rows, PLAN, settings)
+    titles = [axis.get_title() for axis in drawn.axes if axis.get_title() not in ("", "error")]
+    assert titles == ["Reference", "path traced", "wavelet neural"]  # the rows show different components
+    assert {axis.get_ylabel() for axis in drawn.axes} - {""} == {"In texture space", "Box"}
+    facts = [text.get_text() for axis in drawn.axes for text in axis.texts]
+    assert "view: frame00 (points)" in facts and "component: full" in facts
+
+
+def test_columns_and_components_that_are_not_there(cells):
+    images = read_images(cells)
+    with pytest.raises(PrtError, match="figure.columns: no method 'nprt'"):
+        figure.gather(cells, images, PLAN, {"columns": ["nprt"]}, fake_references)
+    for cell in cells:
+        for path in cell.run.path.rglob("indirect*.exr"):
+            path.with_name(path.name.replace("indirect", "direct")).write_bytes(path.read_bytes())
+    _, notes = figure.gather(cells, images, PLAN, {"component": "direct"}, fake_references)
+    assert "has no component 'direct'; choose from full, indirect" in notes[0]
+
+
+def test_a_figure_without_psnr_shows_a_dash(cells):
+    images = read_images(cells)
+    rows, _ = figure.gather(cells, images[images["metric"] != "psnr"], PLAN, {}, fake_references)
+    below = [axis.get_xlabel() for axis in figure.draw(rows, PLAN).axes if axis.get_xlabel()]
+    assert below == ["–"] * 3
 
 
 def test_what_cannot_be_shown_is_said(cells, tmp_path):

@@ -7,9 +7,10 @@ import pytest
 from synthetic_runs import make_run
 
 from prt.bench import layout
-from prt.bench.layout import Layout, cost_sheet, quality_sheet, to_latex, to_markdown
+from prt.bench.layout import Layout, quality_sheet, to_latex, to_markdown
 from prt.bench.results import (
     COLUMNS,
+    in_views,
     merge_published,
     read_images,
     read_published,
@@ -17,6 +18,7 @@ from prt.bench.results import (
     summarise,
     write_results,
 )
+from prt.bench.run_sheets import cost_sheet, error_sheets
 from prt.errors import PrtError
 
 PLAN = Layout(["box"], [("wavelet_neural", ""), ("neural_prt", "")], labels={"neural_prt": "NPRT"})
@@ -148,6 +150,86 @@ def test_cost_sheet(cells):
     text = to_markdown(cost_sheet(summarise(cells, read_images(cells)), PLAN))
     line = next(line for line in text.splitlines() if "NPRT" in line)
     assert [c.strip() for c in line.split("|")[4:-1]] == ["480", "4", "3", "20", "10", "23", "2"]
+
+
+def test_a_methods_parts_and_baking_get_columns_where_there_are_any(tmp_path):
+    cells = [
+        make_run(tmp_path, "box", "wavelet_neural", parts={"measure": 0.001, "transfer": 0.0005}, bake=12.0),
+        make_run(tmp_path, "box", "neural_prt"),
+    ]
+    results = summarise(cells, read_images(cells))
+    lines = to_markdown(cost_sheet(results, PLAN)).splitlines()
+    head, (own, other) = lines[2], [line for line in lines if line.startswith("| Box")]
+    cut = [[c.strip() for c in line.split("|")[4:-1]] for line in (head, own, other)]
+    assert cut[0] == ["bake (s)", "fit (s)", "light (ms)", "G-buffer (ms)", "shade (ms)", "measure (ms)",
+                      "transfer (ms)", "denoise (ms)", "frame (ms)", "model (MB)"]  # fmt: skip
+    assert cut[1][:1] + cut[1][5:7] == ["12", "1", "0.5"]
+    assert cut[2][:1] + cut[2][5:7] == [layout.MISSING] * 3
+    assert any("measure, transfer: parts of light and shade" in line for line in lines)
+
+
+def test_parts_of_an_error_stand_beside_the_whole_and_variants_apart(tmp_path):
+    extra = {"rmse": 0.02, "rmse/bound": 0.01, "rmse/relative": 0.5, "negative/share": 0.125}
+    cells = [make_run(tmp_path, "box", "svd", variant=v, extra=extra) for v in ("basis=4", "basis=16")]
+    plan = Layout(["box"], [("svd", "basis=4"), ("svd", "basis=16")])
+    psnr, rmse, others = error_sheets(summarise(cells, read_images(cells)), plan)
+    assert psnr.title == "Error split (PSNR, dB)" and rmse.title == "Error split (RMSE, radiance)"
+    assert rmse.groups[0][1] == ["all errors", "RMSE bound", "relative RMSE"]
+    assert others.title == "Diagnostics" and others.groups[0][1] == ["negative, share ↓"]
+    places = [tuple(lead[1:3]) for lead, _ in rmse.rows]
+    assert set(places) == {(s, f"svd (basis={n})") for s in ("near", "far") for n in (4, 16)}
+    assert len(places) == 4
+    assert [float(e.text(str)) for e in rmse.rows[0][1]] == pytest.approx([0.02, 0.01, 0.5], rel=0.01)
+    assert float(others.rows[0][1][0].text(str)) == pytest.approx(0.125, rel=0.01)
+
+
+def test_splits_have_names_and_an_order(cells):
+    assert [layout.split_name(s) for s in ("near", "far", "same", "points")] == [
+        "near views", "far views", "same lights", "point lights"
+    ]  # fmt: skip
+    assert layout.splits_of(["near", "near", "far"]) == ["far", "near"]
+    assert layout.splits_of(["same", "points", "same"]) == ["same", "points"]
+    plan = Layout(["box"], PLAN.methods, splits=["far", "same"])
+    sheet = quality_sheet(summarise(cells, read_images(cells)), plan)
+    assert [name for name, _ in sheet.groups] == ["far views", "same lights"]
+
+
+def test_only_the_views_of_the_list_count(tmp_path):
+    cells = [make_run(tmp_path, "box", "neural_prt", views=("lightmap", "frame00", "frame01"))]
+    images = read_images(cells)
+    assert in_views(images, []) is images
+    assert set(in_views(images, ["lightmap"])["view"]) == {"lightmap"}
+    assert set(in_views(images, ["frame*"])["view"]) == {"frame00", "frame01"}
+    own = summarise(cells, in_views(images, ["lightmap"]))
+    row = own[(own.metric == "psnr") & (own.split == "far") & (own.component == "full")].iloc[0]
+    wanted = images[(images["view"] == "lightmap") & (images.metric == "psnr") & (images.split == "far")
+                    & (images.component == "full") & (images.variant == "")]  # fmt: skip
+    assert row["n"] == 2 and row["value"] == pytest.approx(wanted["value"].mean())
+
+
+@pytest.mark.parametrize(
+    ("metric", "label"),
+    [
+        ("psnr", "PSNR (dB) ↑"),
+        ("psnr/fit", "PSNR, fit only (dB) ↑"),
+        ("rmse/bound", "RMSE bound (radiance) ↓"),
+        ("condition/transfer", "condition number, transfer ↓"),
+        ("eigenvalue/lost", "eigenvalue, lost ↓"),
+        ("ratio/error", "ratio/error ↓"),
+        ("paths/record", "paths/record ↑"),
+        ("time/measure", "time/measure ↓"),
+    ],
+)
+def test_labels_say_which_way_is_better(metric, label):
+    assert layout.metric_label(metric) == label
+
+
+def test_methods_are_chosen_by_label_by_name_and_by_variant():
+    plan = Layout(["box"], [("svd", "basis=4"), ("svd", "basis=16"), ("nprt", "")], labels={"nprt": "NPRT"})
+    assert plan.chosen(["NPRT", "svd[basis=16]"], "figure") == [("nprt", ""), ("svd", "basis=16")]
+    assert plan.chosen(["svd", "svd (basis=4)"], "figure") == plan.methods[:2]
+    with pytest.raises(PrtError, match=r"figure: no method 'swd' .* choose from svd\[basis=4\], svd"):
+        plan.chosen(["swd"], "figure")
 
 
 def test_unknown_metric_is_an_error(cells):

@@ -1,5 +1,7 @@
+import dataclasses
 import json
 
+import fakes
 import pandas as pd
 import pytest
 from fakes import CHOICE, write_conf
@@ -9,6 +11,9 @@ from prt.bench.compose import compose
 from prt.bench.run import folder_of, run
 from prt.bench.run_folder import METRIC_COLUMNS, RunFolder, find_runs
 from prt.errors import PrtError
+
+#: what the fake task's error split reports, under its own names
+SPLIT = ("psnr/truncation", "negative/share")
 
 
 @pytest.fixture
@@ -30,7 +35,7 @@ def test_a_run_leaves_every_file(choice, tmp_path):
     metrics = folder.metrics()
     assert tuple(metrics.columns) == METRIC_COLUMNS
     assert len(metrics[metrics.metric == "psnr"]) == 4 * 2  # items times components
-    assert set(metrics.metric) == {"psnr", "mae", "bad_pixels", "noise_floor", "psnr/truncation"}
+    assert set(metrics.metric) == {"psnr", "mae", "bad_pixels", "noise_floor", *SPLIT}
     assert len(folder.log()) == 40
     timing = folder.timing()
     assert timing["bytes"] == (8 + 8 + 8 + 1) * 4
@@ -86,6 +91,50 @@ def test_data_preparation_is_not_fitting_time(choice):
     timing = folder.timing()
     assert timing["bake"] >= 0.5
     assert timing["fit"] < 0.4
+
+
+def timed(choice, monkeypatch, parts, **attributes):
+    """timing.json of a run of a method with parts that are timed by themselves."""
+    monkeypatch.setattr(fakes.FakeMethod, "timed_parts", parts, raising=False)
+    for name, value in attributes.items():
+        monkeypatch.setattr(fakes.FakeTask, name, value, raising=False)
+    return run(compose(choice)).timing()
+
+
+def test_a_methods_parts_are_timed_in_its_own_order(choice, monkeypatch):
+    seen = []
+
+    def parts(self, lighting, gbuffer):
+        seen.append((float(lighting.mean()), len(gbuffer)))
+        return {"measure": lambda: self.light(lighting), "blend": lambda: self.shade(gbuffer, 0.5)}
+
+    # the item that the task chooses is the one timed: its last
+    timing = timed(choice, monkeypatch, parts, timed_item=lambda self: self.tests()[-1])
+    assert timing["parts"] == ["measure", "blend"] and timing["blend"]["repetitions"] >= 30
+    last = fakes.FakeTask(None, None, 2).tests()[-1]
+    assert seen == [(float(last.lighting.mean()), len(last.gbuffer))]
+
+
+def test_a_part_cannot_take_a_name_that_means_something_else(choice, monkeypatch):
+    with pytest.raises(PrtError, match="timed_parts names fit, which means something else"):
+        timed(choice, monkeypatch, lambda self, lighting, gbuffer: {"fit": lambda: None})
+
+
+def test_items_without_a_view_have_no_gbuffer_time(choice, monkeypatch):
+    def item(self):
+        found = self.tests()[0]
+        image, found.gbuffer = found.gbuffer.image, dataclasses.replace(found.gbuffer, view=None)
+        monkeypatch.setattr(type(found.gbuffer), "image", lambda gbuffer, values: image(values))
+        return found
+
+    timing = timed(choice, monkeypatch, lambda *_: {}, timed_item=item, mitsuba_scene="a scene")
+    assert "gbuffer" not in timing and "parts" not in timing and timing["shade"]["median"] > 0
+
+
+def test_a_figure_nobody_defines_is_refused(choice, monkeypatch):
+    monkeypatch.setattr(fakes.FakeTask, "error_split", lambda *_: {"truncation": 30.0})
+    with pytest.raises(PrtError, match="unknown metric 'truncation'"):
+        run(compose(choice))
 
 
 def test_a_method_for_another_task_is_refused_and_leaves_nothing(choice, tmp_path):
@@ -144,7 +193,7 @@ def test_score_recomputes_the_same_numbers_from_the_images(choice):
         "rmse",
         "bad_pixels",
         "noise_floor",
-        "psnr/truncation",
+        *SPLIT,
     }
 
 

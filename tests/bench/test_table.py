@@ -69,6 +69,41 @@ def test_report_has_every_file_and_regenerates_identically(spec, tmp_path):
     assert b"12.34" not in files["table.md"].split(b"## Published")[0] and b"12.34" in files["table.md"]
 
 
+def test_curves_pictures_and_views_of_a_report(spec, tmp_path):
+    text = YAML.replace("method: [wavelet_neural, neural_prt]", "method: [neural_prt]\n  basis: [4, 16]")
+    text = (
+        text.replace("published: paper.csv\n", "").split("claims:")[0]
+        + """
+columns: {views: [lightmap, elsewhere], as_is: neural_prt}
+claims: ["neural_prt[basis=16] > neural_prt[basis=4] on psnr/indirect, same, every scene"]
+curves: [{file: error, x: basis, y: psnr/indirect, log: [x]}]
+pictures: [{file: parts.png, caption: Its parts}, {file: gone.png}]
+"""
+    )
+    (tmp_path / "experiments" / "small.yaml").write_text(text)
+    spec = table.load_spec("small")
+    cells = [
+        make_run(tmp_path / "runs", scene, "neural_prt", variant=f"basis={n}", psnr=20.0 + n, denoise=False,
+                 splits=("same", "points"), views=("lightmap", "frame00"))
+        for scene in spec.grid["scene"] for n in (4, 16)
+    ]  # fmt: skip
+    spec.report.mkdir(parents=True)
+    (spec.report / "parts.png").write_bytes(b"drawn by somebody")
+    files = write(spec, cells)
+    assert {"error.svg", "error.png", "parts.png"} <= set(files) and write(spec, cells) == files
+    results = read_results(spec.report / "results.csv")
+    assert set(results["split"]) == {"same", "points", ""} and set(
+        results.loc[results.metric == "psnr", "n"]
+    ) == {2}
+    text = files["report.md"].decode()
+    # splits that were measured, without being asked for
+    assert "Box, same lights" in text and "Box, point lights" in text and "far views" not in text
+    assert "![error](error.svg)" in text and "![Its parts](parts.png)" in text
+    assert "no finished run has a view 'elsewhere'; there are lightmap, frame00" in text
+    assert "no picture gone.png: it was not written" in text and "Only test items with these views" in text
+    assert text.count("✔ holds") == 3
+
+
 def test_a_failed_run_shows_as_failed_with_its_reason(spec, tmp_path):
     cells = [
         make_run(
@@ -163,7 +198,7 @@ def test_settings_of_one_method_are_no_variant_and_yield_to_the_command_line(spe
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (("common:", "settings: {neural_prd: [a=1]}\ncommon:"), "neural_prd'; did you mean neural_prt"),
+        (("common:", "settings: {neural_prd: [a=1]}\ncommon:"), "neural_prd', which is no method or scene; did you mean neural_prt"),
         (("grid:", "gird:"), "unknown key 'gird'; did you mean grid"),
         (("claims:", "claims: [nonsense]\nclaim:"), "unknown key 'claim'"),
         (("psnr/indirect, far", "psnr/indirect"), "near or far"),
@@ -173,6 +208,19 @@ def test_settings_of_one_method_are_no_variant_and_yield_to_the_command_line(spe
         ),
         (("  method: [wavelet_neural, neural_prt]\n", ""), "at least one scene and one method"),
         (("published: paper.csv", "columns: [1"), "YAML"),
+        (
+            ("rows: [{scene: box}]", "rows: [{scene: box, lable: a}]"),
+            "figure.rows.lable'; did you mean label",
+        ),
+        (("rows: [{scene: box}]", "rows: box"), "figure.rows must be a list of entries"),
+        (("published: paper.csv", "curves: [{file: a, x: b, y: c}]"), "bad.yaml: curves, file 'a': y: 'c'"),
+        (("published: paper.csv", "curves: {file: a}"), "curves must be a list of entries"),
+        (
+            ("published: paper.csv", "pictures: [{file: ../a.png}]"),
+            "'../a.png' must be a name ending in .png",
+        ),
+        (("published: paper.csv", "pictures: [{file: a.png}, {file: a.png}]"), "another picture's name"),
+        (("published: paper.csv", "pictures: [{file: chart.png}]"), "another picture's name"),
     ],
 )
 def test_mistakes_in_the_yaml_are_one_line(spec, tmp_path, change, says):
@@ -180,6 +228,13 @@ def test_mistakes_in_the_yaml_are_one_line(spec, tmp_path, change, says):
     with pytest.raises(PrtError, match=says) as error:
         table.load_spec("bad")
     assert "\n" not in str(error.value)
+
+
+def test_a_method_the_figure_cannot_show_is_found_before_any_run(spec, tmp_path):
+    spec.figure["columns"] = ["neural_prd"]
+    cells = [make_run(tmp_path, "box", "neural_prt", state="absent")]
+    with pytest.raises(PrtError, match="figure.columns: no method 'neural_prd' .* choose from neural_prt"):
+        table.layout_of(spec, cells)
 
 
 def test_unknown_table_names_those_there_are(spec):

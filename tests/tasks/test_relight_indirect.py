@@ -245,17 +245,17 @@ def test_nothing_is_lost_where_all_wavelets_are_kept(tiny_task, own_cache):
     item = tiny_task.tests()[0]
     image = item.references["indirect"]
     parts = tiny_task.error_split(item, image, untrained(tiny_task, ALL))
-    assert parts["truncation"] == parts["fit"] == PSNR_CAP
-    assert parts["noise"] == item.noise_floor["indirect"]
+    assert parts["psnr/truncation"] == parts["psnr/fit"] == PSNR_CAP
+    assert parts["psnr/noise"] == item.noise_floor["indirect"]
 
 
 def test_truncation_shrinks_with_more_wavelets_and_fit_is_apart_from_it(tiny_task, own_cache):
     item = tiny_task.tests()[0]
     reference = item.references["indirect"]
     found = {k: tiny_task.error_split(item, reference * 1.2, untrained(tiny_task, k)) for k in (4, 200, ALL)}
-    truncation = [found[k]["truncation"] for k in (4, 200, ALL)]
+    truncation = [found[k]["psnr/truncation"] for k in (4, 200, ALL)]
     assert truncation[0] < truncation[1] < truncation[2] == PSNR_CAP
-    assert found[ALL]["fit"] < 40  # a fifth too bright, and nothing is truncated
+    assert found[ALL]["psnr/fit"] < 40  # a fifth too bright, and nothing is truncated
 
 
 def test_the_truncated_truth_has_no_fit_error(tiny_task, own_cache):
@@ -268,13 +268,15 @@ def test_the_truncated_truth_has_no_fit_error(tiny_task, own_cache):
     missing = transport.component("indirect").relight(lost)[0].view(item.references["indirect"].shape)
     oracle = item.references["indirect"] - missing
     parts = tiny_task.error_split(item, oracle, method)
-    assert parts["fit"] == PSNR_CAP  # one of its two estimates is exactly zero
-    assert parts["truncation"] < 60
+    assert parts["psnr/fit"] == PSNR_CAP  # one of its two estimates is exactly zero
+    assert parts["psnr/truncation"] < 60
 
 
 def test_methods_without_truncation_get_the_noise_alone(tiny_task):
     item = tiny_task.tests()[0]
-    assert set(tiny_task.error_split(item, item.references["indirect"], types.SimpleNamespace())) == {"noise"}
+    assert set(tiny_task.error_split(item, item.references["indirect"], types.SimpleNamespace())) == {
+        "psnr/noise"
+    }
 
 
 def test_product_of_two_estimates_removes_their_noise():

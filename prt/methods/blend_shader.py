@@ -1,0 +1,258 @@
+"""The fragment shader that blends a lightmap basis on screen (Belcour 2022, section 5.2), in OpenGL 3.3.
+
+Elements lie four to an RGBA texture, their coefficients in one 4 x 3 matrix per texture. OpenGL comes from
+``moderngl`` without a window: through EGL on Linux, where Mesa's software renderer serves a machine without
+a GPU.
+"""
+
+import sys
+import weakref
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from typing_extensions import Self
+
+from prt.errors import PrtError
+from prt.methods.blend_glsl import BASIS_UNIT, FRAGMENT, SCREEN, VERTEX
+from prt.methods.lightmap_blend import check, with_channels
+from prt.scene.gbuffer import GBuffer
+
+FILTERS = ("hardware", "exact")
+HOW = "Debian: apt-get install libegl1 libgl1 libgl1-mesa-dri, or a GPU driver with EGL"
+
+
+def open_context() -> Any:
+    """A fresh OpenGL context without a window, made current.
+
+    Raises:
+        PrtError: where there is none, with what to install.
+    """
+    try:
+        import moderngl
+    except ImportError as error:
+        raise PrtError("the GLSL renderer needs moderngl: pip install moderngl") from error
+    backend = {"backend": "egl"} if sys.platform.startswith("linux") else {}
+    try:
+        return moderngl.create_context(require=330, standalone=True, **backend)
+    except Exception as error:  # the loader raises nothing more special
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise PrtError(f"the GLSL renderer finds no OpenGL 3.3 ({reason}); {HOW}") from error
+
+
+def available() -> str | None:
+    """None where :class:`BlendShader` works, else one line that says why not and what to install."""
+    try:
+        open_context().release()
+    except PrtError as error:
+        return str(error)
+    return None
+
+
+def device_name() -> str:
+    """What would draw: ``GL_RENDERER`` of a fresh context.
+
+    Raises:
+        PrtError: where there is no OpenGL.
+    """
+    context = open_context()
+    try:
+        return context.info["GL_RENDERER"]
+    finally:
+        context.release()
+
+
+class BlendShader:
+    """direct + scale * sum_k c_k B_k(uv) for every pixel of a G-buffer, drawn by a fragment shader.
+
+    A context manager; otherwise ``release()`` gives the OpenGL context back (it also goes with the object).
+    To be used from one thread, the one that made it.
+
+    Args:
+        basis: n elements, element 0 the mean; with one channel, (n, H, W) or (n, H, W, 1), four lie in a
+            layer of an RGBA32F texture array, zeros after the last; with three channels, each has a layer.
+        gamma: as in :meth:`prt.methods.lightmap_blend.Blender.blend`.
+        filter: ``hardware`` is the texture unit's bilinear filter, what the paper's shader and its times
+            use; ``exact`` fetches four texels and mixes them in float32, slower. Both are kept because GPUs
+            commonly round the filter's weights to 8 bits, an error of up to 1/512 of the difference between
+            neighbouring texels; Mesa's software renderer does not, there both agree with torch.
+
+    Raises:
+        PrtError: for an unknown filter, a basis of another shape or larger than OpenGL allows here, a gamma
+            not above 0, or where there is no OpenGL (:func:`available` says why).
+    """
+
+    def __init__(
+        self,
+        basis: Float[Tensor, "n H W"] | Float[Tensor, "n H W C"],
+        gamma: float = 1.0,
+        filter: str = "hardware",
+    ):
+        if filter not in FILTERS:
+            raise PrtError(f"filter={filter!r} is not one of {', '.join(FILTERS)}")
+        layers = packed(basis)
+        self.elements, self.channels = len(basis), with_channels(basis).shape[3]
+        if not gamma > 0:
+            raise PrtError(f"gamma={gamma} must be above 0; 1 is linear, 2.2 the usual")
+        self.gamma = gamma
+        self._context = context = open_context()
+        # the context alone: a method of self would keep self alive
+        self.release = weakref.finalize(self, context.release)
+        try:
+            self._check_limits(layers)
+            self._build(layers, filter)
+        except BaseException:
+            self.release()
+            raise
+        self._screen: dict[str, Any] = {}
+        self._target: Any = None
+        self._size = (0, 0)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.release()
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the basis' textures on the GPU (what section 6.5 counts), zero padding included."""
+        width, height, layers = self._basis.size
+        return 16 * width * height * layers
+
+    def device_name(self) -> str:
+        """What draws: ``GL_RENDERER``."""
+        return self._current().info["GL_RENDERER"]
+
+    def set_gbuffer(
+        self, gbuffer: GBuffer, scale: Float[Tensor, "N 3"], direct: Float[Tensor, "N 3"]
+    ) -> None:
+        """Upload what the shader reads per pixel, as three RGBA32F textures of the view's size.
+
+        Args:
+            gbuffer: its ``view``, ``hit`` and ``uv`` (places in the lightmap) are used.
+            scale: linear RGB the indirect light is multiplied with; of the N pixels that hit the scene.
+            direct: linear RGB radiance added to it.
+
+        Raises:
+            PrtError: for a G-buffer that belongs to no image, or values of another number than its points.
+        """
+        if gbuffer.view is None:
+            raise PrtError("the GLSL renderer draws images; this G-buffer belongs to none (its view is None)")
+        shape = (len(gbuffer.uv), 3)
+        if scale.shape != shape or direct.shape != shape:
+            raise PrtError(
+                f"scale {tuple(scale.shape)} and direct {tuple(direct.shape)} must be {shape}, one row for "
+                "each point of the G-buffer"
+            )
+        hit = gbuffer.hit.cpu()
+        place = torch.cat([gbuffer.uv, torch.ones_like(gbuffer.uv[:, :1])], dim=1)
+        size = (gbuffer.view.width, gbuffer.view.height)
+        with self._current() as context:
+            if size != self._size:
+                self._resize(context, size)
+            for name, values in zip(SCREEN, (place, scale, direct), strict=True):
+                image = torch.zeros((hit.numel(), 4))
+                image[hit, :3] = values.detach().cpu().float()
+                self._screen[name].write(image.numpy())
+
+    def draw(self, coefficients: Float[Tensor, "n 3"], indirect: bool = True) -> None:
+        """Upload the coefficients and start drawing; :meth:`finish` waits for it.
+
+        Args:
+            coefficients: one row per element, one column per colour.
+            indirect: False draws with the shader that reads the same G-buffer and knows no indirect light
+                (``No GI`` of Table 1).
+
+        Raises:
+            PrtError: for coefficients of another number than the basis, or before :meth:`set_gbuffer`.
+        """
+        check(coefficients, self.elements, self.gamma)
+        if self._target is None:
+            raise PrtError("the GLSL renderer has nothing to draw; call set_gbuffer first")
+        with self._current():
+            if indirect:
+                rows = torch.zeros((self._coefficients.size // 16, 4))
+                rows[: self.elements, :3] = coefficients.detach().cpu()
+                self._coefficients.write(rows.numpy())
+                self._coefficients.bind_to_uniform_block(0)
+                self._basis.use(BASIS_UNIT)
+            for unit, name in enumerate(SCREEN):
+                self._screen[name].use(unit)
+            self._target.use()
+            self._shaders[indirect].render(vertices=3)
+
+    def finish(self) -> None:
+        """Wait until everything is drawn."""
+        with self._current() as context:
+            context.finish()
+
+    def render(self, coefficients: Float[Tensor, "n 3"], indirect: bool = True) -> Float[Tensor, "H W 3"]:
+        """:meth:`draw`, and the image: linear RGB, zero where a pixel hits nothing."""
+        self.draw(coefficients, indirect)
+        width, height = self._size
+        image = torch.empty((height, width, 3))
+        with self._current():
+            self._target.read_into(image.numpy(), components=3, dtype="f4")
+        return image
+
+    def _current(self) -> Any:
+        """The context, for a ``with`` that makes it current and brings back the one before."""
+        if not self.release.alive:
+            raise PrtError("this BlendShader was released; make a new one")
+        return self._context
+
+    def _check_limits(self, layers: Float[Tensor, "L H W 4"]) -> None:
+        info, per_layer = self._context.info, 4 if self.channels == 1 else 1
+        side, block = info["GL_MAX_TEXTURE_SIZE"], info["GL_MAX_UNIFORM_BLOCK_SIZE"]
+        most = min(info["GL_MAX_ARRAY_TEXTURE_LAYERS"], block // (16 * per_layer))
+        if len(layers) > most or max(layers.shape[1:3]) > side:
+            raise PrtError(
+                f"{self.elements} elements of {layers.shape[1]} x {layers.shape[2]} texels are too much for "
+                f"{info['GL_RENDERER']}: at most {most * per_layer} elements, {side} texels "
+                "a side; use the torch renderer"
+            )
+
+    def _build(self, layers: Float[Tensor, "L H W 4"], filter: str) -> None:
+        context = self._context
+        with context:
+            count, height, width, _ = layers.shape
+            self._basis = context.texture_array((width, height, count), 4, layers.numpy(), dtype="f4")
+            self._basis.filter = (context.LINEAR, context.LINEAR)
+            self._basis.repeat_x = self._basis.repeat_y = False
+            elements = 4 * count if self.channels == 1 else count
+            self._coefficients = context.buffer(reserve=16 * elements, dynamic=True)
+            self._shaders = {}
+            for indirect in (False, True):
+                names = {"LAYERS": count, "CHANNELS": self.channels, "INDIRECT": int(indirect)}
+                names["EXACT"] = int(filter == "exact")
+                if self.gamma != 1:
+                    names["GAMMA"] = self.gamma
+                defines = "".join(f"#define {name} {value}\n" for name, value in names.items())
+                program = context.program(VERTEX, fragment_shader=f"#version 330\n{defines}{FRAGMENT}")
+                for unit, name in enumerate((*SCREEN, "basis")):
+                    if name in program:
+                        program[name] = unit
+                self._shaders[indirect] = context.vertex_array(program, [])
+
+    def _resize(self, context: Any, size: tuple[int, int]) -> None:
+        side = context.info["GL_MAX_TEXTURE_SIZE"]
+        if max(size) > side:
+            raise PrtError(f"an image of {size[0]} x {size[1]} pixels; {side} a side are allowed here")
+        for old in (*self._screen.values(), self._target):
+            if old is not None:
+                old.release()
+        self._screen = {name: context.texture(size, 4, dtype="f4") for name in SCREEN}
+        self._target = context.framebuffer([context.renderbuffer(size, 4, dtype="f4")])
+        self._size = size
+
+
+def packed(basis: Float[Tensor, "n H W"] | Float[Tensor, "n H W C"]) -> Float[Tensor, "L H W 4"]:
+    """The basis as RGBA layers: four elements of one channel each, or one of three and a zero."""
+    full = with_channels(basis).detach().cpu().float()
+    elements, height, width, channels = full.shape
+    if channels == 3:
+        return torch.cat([full, torch.zeros((elements, height, width, 1))], dim=3)
+    padded = torch.cat([full[..., 0], torch.zeros((-elements % 4, height, width))])
+    return padded.view(-1, 4, height, width).permute(0, 2, 3, 1).contiguous()
