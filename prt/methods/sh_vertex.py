@@ -35,7 +35,7 @@ class ShVertex:
     component = Component.INDIRECT
     tasks = frozenset({"local_lights"})
 
-    def __init__(self, order: int, directions: int, bounces: int | None = None):
+    def __init__(self, order: int, directions: int, bounces: int | None = None, full: bool = False):
         for name, value, most in (
             ("order", order, 16),
             ("directions", directions, 1 << 16),
@@ -45,6 +45,7 @@ class ShVertex:
                 null = " or null" if name == "bounces" else ""
                 raise PrtError(f"method.{name}={value!r} must be a whole number from 1 to {most}{null}")
         self.order, self.directions, self.bounces = order, directions, bounces
+        self.component = Component.FULL if full else Component.INDIRECT
         self._direct: Float[Tensor, "V K"] | None = None
         self._interreflected: Float[Tensor, "V K 3"] | None = None
         self._face: Int[Tensor, "F 3"] | None = None
@@ -102,13 +103,15 @@ class ShVertex:
     def shade(
         self, gbuffer: AtlasGBuffer, code: Float[Tensor, "K 3"], v: Tensor | None = None
     ) -> Float[Tensor, "N 3"]:
-        """Indirect radiance, interpolated from the vertices; negative where the lighting's bands ring.
+        """Indirect radiance (with ``full`` direct too), interpolated from the vertices; negative where the lighting's bands ring.
 
         Raises:
             PrtError: for a G-buffer without triangles, or before ``fit`` or ``load``.
         """
         transfer = self._fitted()[1]
         # the channels as columns of a block matrix: one product that reads the transfer once, as it lies
+        if self.component is Component.FULL:
+            transfer = transfer + self._fitted()[0][..., None]
         K = len(code)
         block = (code[:, :, None] * torch.eye(3, device=code.device)).reshape(3 * K, 3)
         return self._interpolated(gbuffer, transfer.flatten(1) @ block)

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from prt.errors import PrtError
 
+NORMS = ("l2", "l1", "none")
 #: eigenvalues below this share of the largest are rounding
 RANK = 1e-10
 #: direct vectors of less than this share of the brightest one's norm say nothing
@@ -48,15 +49,27 @@ class SvdBasis:
     coefficients: Float[Tensor, "N K"]
 
 
-def normalised(direct: Float[Tensor, "N M"], indirect: Float[Tensor, "N T"]) -> Pairs:
-    """Both divided by the norm of the direct vector; pairs without direct light are left out.
+def norm_of(direct: Float[Tensor, "N M"], kind: str) -> Float[Tensor, "N"]:
+    """The norm that pairs are divided by and that the mean is scaled with.
+
+    ``l2``: Euclidean (section 4.2); ``l1``: sum over the root of M, which is l2 for an even vector; ``none``:
+    1, and 0 for a black vector.
+    """
+    if kind == "l1":
+        return direct.abs().sum(dim=1) / direct.shape[1] ** 0.5
+    size = direct.norm(dim=1)
+    return size if kind == "l2" else (size > 0).to(size.dtype)
+
+
+def normalised(direct: Float[Tensor, "N M"], indirect: Float[Tensor, "N T"], kind: str = "l2") -> Pairs:
+    """Both divided by a norm of the direct vector; pairs without direct light are left out.
 
     Raises:
         PrtError: if all are black, or a value is not finite.
     """
     if not (bool(direct.isfinite().all()) and bool(indirect.isfinite().all())):
         raise PrtError("the baked database holds NaN or infinite values; delete the cache and bake again")
-    norm = direct.norm(dim=1)
+    norm = norm_of(direct, kind)
     lit = norm > BLACK * norm.max().clamp_min(1e-30)
     if not bool(lit.any()):
         raise PrtError(

@@ -16,10 +16,12 @@ from prt.light.local import LightRig
 from prt.methods.base import Component, FitLog
 from prt.methods.lightmap_blend import Blender
 from prt.methods.svd_basis import (
+    NORMS,
     Pairs,
     condition,
     error_curve,
     extract,
+    norm_of,
     normalised,
     transfer_matrix,
 )
@@ -47,7 +49,9 @@ class SvdTransfer:
         channels: ``shared``, one basis for the three channels as separate vectors (the paper's choice,
             section 5.2); ``interleaved``, colours are part of the basis; ``separate``, a basis per channel.
         gamma: direct and indirect light to the power 1 / gamma before, back after (section 5.3); 1: linear.
-        normalise: divide each pair by the norm of its direct light.
+        normalise: each pair is divided by a norm of its direct light: ``l2`` (section 4.2), ``l1``, ``none``.
+            The indirect light follows the sum of the direct, which is the l1 norm: a small bright spot has a
+            large l2 norm and little of it. With l1 the weight of the mean is linear in direct light as well.
         keyframes: of an animated asset: one transfer matrix for all, or ``separate`` ones (section 5.4).
         renderer: ``torch``, or ``shader``, a GLSL fragment shader (four elements a texture).
     """
@@ -57,13 +61,14 @@ class SvdTransfer:
 
     def __init__(
         self, basis: int | str, target_error: float, held_out: float, points: int, supersample: int,
-        regularisation: float | None, channels: str, gamma: float, normalise: bool, keyframes: str,
+        regularisation: float | None, channels: str, gamma: float, normalise: str, keyframes: str,
         renderer: str,
     ):  # fmt: skip
         whole = isinstance(basis, int) and not isinstance(basis, bool) and basis >= 1
         if not (whole or basis == AUTO):
             raise PrtError(f"method.basis={basis!r} must be a whole number of at least 1, or auto")
         for name, value, allowed in (("channels", channels, CHANNELS), ("keyframes", keyframes, KEYFRAMES),
+                                     ("normalise", normalise, NORMS),
                                      ("renderer", renderer, RENDERERS)):  # fmt: skip
             if value not in allowed:
                 raise PrtError(f"method.{name}={value!r} is not one of {', '.join(allowed)}")
@@ -145,11 +150,7 @@ class SvdTransfer:
         return [tuple(torch.cat(parts) for parts in zip(*split, strict=True))]
 
     def _pairs(self, direct: Tensor, indirect: Tensor) -> Pairs:
-        pairs = normalised(direct, indirect)
-        if self.normalise:
-            return pairs
-        norm = torch.ones_like(pairs.norm)
-        return Pairs(pairs.direct * pairs.norm[:, None], pairs.indirect * pairs.norm[:, None], norm)
+        return normalised(direct, indirect, self.normalise)
 
     def _transfers(self, pairs: Pairs, coefficients: Tensor, poses: Tensor, columns: int) -> Tensor:
         """One matrix (M, columns) for all keyframes, or one per keyframe; columns beyond the rank are 0."""
@@ -245,10 +246,9 @@ class SvdTransfer:
         matrix = self.transfer[min(pose, len(self.transfer) - 1)]
         if self.channels == "interleaved":
             vector = direct.flatten()
-            norm = vector.norm() if self.normalise else (vector.norm() > 0).float()
-            return torch.cat([norm[None], vector @ matrix[0]])[:, None].expand(-1, 3)
-        norm = direct.norm(dim=0)
-        norm = norm if self.normalise else (norm > 0).float()
+            norm = norm_of(vector[None], self.normalise)
+            return torch.cat([norm, vector @ matrix[0]])[:, None].expand(-1, 3)
+        norm = norm_of(direct.T, self.normalise)
         if self.channels == "shared":
             return torch.cat([norm[None], matrix[0].T @ direct])
         return torch.cat([norm[None], torch.einsum("bmk,mb->kb", matrix, direct)])

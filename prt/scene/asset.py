@@ -61,9 +61,7 @@ class SurfaceAsset:
 
     def shapes(self, pose: int = 0) -> list[Any]:
         """Its ``mi.Mesh`` objects; scenes with different emitters share them."""
-        return self._once(
-            ("shapes", pose), lambda: as_meshes(list(self.scene.posed(pose).load().shapes()))
-        )
+        return self._once(("shapes", pose), lambda: as_meshes(list(self.scene.posed(pose).load().shapes())))
 
     def load(self, emitters: dict[str, Any], pose: int = 0) -> Any:
         """A ``mi.Scene`` of the asset in this pose under these emitters."""

@@ -115,9 +115,9 @@ def rasterise(
     Returns:
         Triangle and barycentric weights of S = H W grid^2 places, texel after texel (row-major).
     """
+    mi = mitsuba()  # before drjit, which takes the LLVM it finds
     import drjit as dr
 
-    mi = mitsuba()
     height, width = size
     scale = corner.new_tensor([width, height])
     flat = torch.cat([corner * scale, torch.zeros_like(corner[..., :1])], dim=2).reshape(-1, 3)

@@ -62,7 +62,9 @@ def _mesh_of(shape: Any) -> Any:
     face[flipped] = face[flipped][:, ::-1]
     face = face[np.linalg.norm(area, axis=1) > 1e-14]
     data = MeshData(world, normal, np.stack([u.ravel(), v.ravel()], 1), face)
-    return to_mesh(shape.id(), data, shape.bsdf(), shape.interior_medium())
+    mesh = to_mesh(shape.id(), data, shape.bsdf(), shape.interior_medium())
+    mesh.set_id(shape.id())  # what errors call it
+    return mesh
 
 
 def _rectangle(u, v):

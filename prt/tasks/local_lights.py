@@ -251,12 +251,11 @@ class LocalLights:
 
     def compose(self, item: TestItem, image: Tensor, component: str) -> dict[str, Tensor]:
         """Every component that is scored, from a method's image of indirect light."""
-        if component == "full" and item.view_name != LIGHTMAP:
-            return {"full": image}
+        if component == "full":  # a lightmap holds no direct light to compare with
+            return {} if item.view_name == LIGHTMAP else {"full": image}
         if component != "indirect":
             raise PrtError(
-                f"task {self.name} scores methods that predict indirect light, or full light on frames "
-                f"(task.lightmaps=false), not {component}"
+                f"task {self.name} scores methods that predict indirect light, or full light, not {component}"
             )
         full = {} if item.view_name == LIGHTMAP else {"full": image + item.direct}
         return {"indirect": image, **full}
@@ -267,7 +266,7 @@ class LocalLights:
         ``rmse/bound`` is what is left of the reference when it is projected into the method's basis (Figure
         14, dashed): no transfer from direct light can do better.
         """
-        if item.view_name != LIGHTMAP:
+        if item.view_name != LIGHTMAP or method.component.value != "indirect":
             return {}
         hit = item.gbuffer.hit
         reference = item.references["indirect"].reshape(-1, 3)[hit]

@@ -124,7 +124,7 @@ class LitAsset:
         for sign, name in ((1.0, "full"), (-1.0, "direct")):
             if name in self.integrators:
                 p, n, d = rays.draw()
-                ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(p + self._step * (n + d)), -d))
+                ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(p + self._step * d), -d))
                 total += sign * rays.mean(self.integrators[name].sample(scene, rays.sampler(), ray)[0])
         return total
 

@@ -19,9 +19,8 @@ COLUMNS = 12
 @functools.cache
 def rig_emitter_class() -> type:
     """The ``mi.Emitter`` subclass, registered as plugin ``prt_rig``; dark until :meth:`set_lights`."""
+    mi = mitsuba()  # before drjit, which takes the LLVM it finds
     import drjit as dr
-
-    mi = mitsuba()
 
     class RigEmitter(mi.Emitter):
         def __init__(self, props):

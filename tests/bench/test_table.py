@@ -198,7 +198,10 @@ def test_settings_of_one_method_are_no_variant_and_yield_to_the_command_line(spe
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (("common:", "settings: {neural_prd: [a=1]}\ncommon:"), "neural_prd', which is no method or scene; did you mean neural_prt"),
+        (
+            ("common:", "settings: {neural_prd: [a=1]}\ncommon:"),
+            "neural_prd', which is no method or scene; did you mean neural_prt",
+        ),
         (("grid:", "gird:"), "unknown key 'gird'; did you mean grid"),
         (("claims:", "claims: [nonsense]\nclaim:"), "unknown key 'claim'"),
         (("psnr/indirect, far", "psnr/indirect"), "near or far"),
