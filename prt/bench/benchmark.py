@@ -32,7 +32,15 @@ from prt.bench import curve_charts, layout, pictures, provenance
 from prt.bench.build import build
 from prt.bench.layout import Entry, Sheet
 from prt.bench.report import claims_text, show
-from prt.bench.results import COLUMNS, IMAGE_COLUMNS, join_variant, read_results, write_results
+from prt.bench.results import (
+    COLUMNS,
+    IMAGE_COLUMNS,
+    join_variant,
+    merge_published,
+    read_published,
+    read_results,
+    write_results,
+)
 from prt.bench.run import build_task
 from prt.bench.table import check_writable, grid_overrides, say
 from prt.bench.verdicts import Evidence, judge
@@ -109,10 +117,15 @@ def write_report(
 ) -> None:
     """Write ``results.csv``, and from it curves, table.md, table.tex, claims.csv and report.md."""
     folder = spec.report
-    write_results(rows, folder / "results.csv")
-    results = read_results(folder / "results.csv")
+    published = read_published(spec.published) if spec.published else None
+    write_results(merge_published(rows, published), folder / "results.csv")
+    both = read_results(folder / "results.csv")
+    results = both[both["n"].notna()]
     table = sheet(spec, results)
     markdown = layout.to_markdown(table)
+    if spec.published:
+        paper = sheet(spec, both[both["published"].notna()], "published", layout.PUBLISHED_TITLE)
+        markdown += "\n" + layout.to_markdown(paper)
     write_atomically(folder / "table.md", f"# {spec.title}\n\n{markdown}".encode())
     write_atomically(folder / "table.tex", layout.to_latex(table).encode())
     scenes = list(dict.fromkeys([*results["scene"], *failed]))
@@ -137,23 +150,28 @@ def write_report(
     show(folder, [layout.to_rich(table)], verdicts, console)
 
 
-def sheet(spec: "Spec", results: pd.DataFrame) -> Sheet:
-    """Rows by scene, method, variant, component and split, if any; a column a metric: value [interval]."""
+def sheet(spec: "Spec", results: pd.DataFrame, column: str = "value", title: str = "") -> Sheet:
+    """Rows by scene, method, variant, component and split, if any; a column a metric: value [interval].
+
+    ``column``: ``value``, or ``published`` for the paper's numbers, which have no interval.
+    """
     metrics = list(dict.fromkeys(results["metric"]))
     heads = [layout.metric_label(metric) for metric in metrics]
     keys = ["scene", "method", "variant", "component", *(["split"] if any(results["split"]) else [])]
-    out = Sheet("", keys, [("", heads)], [])
+    out = Sheet(title, keys, [("", heads)], [])
     for place, rows in results.groupby(keys, sort=False):
         scene, method, *rest = (str(part) for part in place)  # pyright: ignore
         found = {row.metric: row for row in rows.itertuples()}
-        cells = [Entry([figure(found[m]) if m in found else layout.MISSING]) for m in metrics]
+        cells = [Entry([figure(found[m], column) if m in found else layout.MISSING]) for m in metrics]
         lead = [spec.labels.get(scene, scene), spec.labels.get(method, method), *rest]
         out.rows.append((lead, cells))
     return out
 
 
-def figure(row: Any) -> str:
+def figure(row: Any, column: str = "value") -> str:
     """``0.93 [0.91, 0.95]``."""
+    if column == "published":
+        return f"{row.published:.3g}"
     interval = f" [{row.lo:.3g}, {row.hi:.3g}]" if row.lo == row.lo and row.hi == row.hi else ""
     return f"{row.value:.3g}{interval}"
 

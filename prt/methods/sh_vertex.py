@@ -30,6 +30,7 @@ class ShVertex:
         directions: rays a vertex.
         bounces: most reflections of the light before it arrives at a vertex; None: one less than the bounces
             of the scene's paths, ``max_depth``, of which one is at the vertex.
+        full: predict direct light as well.
     """
 
     component = Component.INDIRECT
@@ -103,7 +104,7 @@ class ShVertex:
     def shade(
         self, gbuffer: AtlasGBuffer, code: Float[Tensor, "K 3"], v: Tensor | None = None
     ) -> Float[Tensor, "N 3"]:
-        """Indirect radiance (with ``full`` direct too), interpolated from the vertices; negative where the lighting's bands ring.
+        """Indirect radiance, with ``full`` direct too, interpolated from the vertices; it may ring below 0.
 
         Raises:
             PrtError: for a G-buffer without triangles, or before ``fit`` or ``load``.
