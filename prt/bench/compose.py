@@ -80,11 +80,27 @@ def compose(overrides: Sequence[str]) -> DictConfig:
     Raises:
         PrtError: for a misspelt key, an unknown choice, a malformed override, an unknown budget.
     """
-    overrides = list(overrides)
+    overrides = with_companions(overrides)
     check_additions(overrides)
     with reported(overrides):
         cfg = raw_compose(overrides)
         return finish(cfg)
+
+
+def with_companions(overrides: Sequence[str]) -> list[str]:
+    """The overrides, before them the choices that the chosen task's YAML makes under ``_with_``.
+
+    A task may need a lighting or a method of its own kind; the defaults of ``config.yaml`` are another's.
+    """
+    task = next((text.partition("=")[2] for text in reversed(overrides) if text.startswith("task=")), None)
+    for folder in reversed(conf_folders()):
+        path = folder / "task" / f"{task}.yaml"
+        if task and path.is_file():
+            found = OmegaConf.load(path).get("_with_") or {}
+            given = {text.partition("=")[0] for text in overrides}
+            added = [f"{group}={name}" for group, name in found.items() if group not in given]
+            return [*added, *overrides]
+    return list(overrides)
 
 
 def raw_compose(overrides: Sequence[str]) -> DictConfig:
@@ -101,6 +117,8 @@ def finish(cfg: DictConfig, chosen: dict[str, Any] | None = None) -> DictConfig:
     if missing:
         raise PrtError(f"{missing[0]} is missing; do not delete it, choose one ({missing[0]}=...)")
     cfg = OmegaConf.create({key: cfg._get_node(key) for key in cfg if key != "hydra"})
+    with open_dict(cfg):
+        cfg.task.pop("_with_", None)
     resolve(cfg)
     with open_dict(cfg):
         cfg.choice = names

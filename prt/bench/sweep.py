@@ -41,6 +41,7 @@ def sweep(overrides: Sequence[str]) -> int:
     Raises:
         PrtError: for mistakes in the overrides, before anything runs.
     """
+    overrides = compose.with_companions(overrides)
     compose.check_additions(overrides)
     app = hydra.main(version_base="1.3", config_path=str(compose.conf_folder()), config_name="config")(job)
     words = ["prt run", "--multirun", *compose.searchpath_override(), *overrides]
