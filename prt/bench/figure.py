@@ -35,6 +35,8 @@ CAPTION = (
 )
 #: characters of the caption that surely fit into an inch
 CAPTION_DENSITY = 19
+#: characters of a column's title that surely fit over a picture
+TITLE_WIDTH = 24
 CROP_COLOURS = ["#E69F00", "#56B4E9"]
 
 
@@ -169,12 +171,13 @@ def draw(rows: list[Row], layout: Layout, settings: dict | None = None) -> Figur
     width = (1 + len(labels)) * SIDE + 0.36
     caption = textwrap.wrap(CAPTION, int((width - 0.36) * CAPTION_DENSITY))
     bottom = 0.14 + 0.11 * len(caption)
-    height = sum(flat) * SIDE + 0.3 + bottom
+    head = 0.14 + 0.13 * max(_titled(label).count("\n") + 1 for label in labels)
+    height = sum(flat) * SIDE + head + 0.03 + bottom
     with matplotlib.rc_context({"font.family": "DejaVu Sans", "font.size": 8.5}):
         figure = Figure(figsize=(width, height))
         grid = figure.add_gridspec(
             len(flat), 1 + len(labels), height_ratios=flat, wspace=0.025, hspace=0.03,
-            left=0.3 / width, right=1 - 0.06 / width, top=1 - 0.27 / height, bottom=bottom / height,
+            left=0.3 / width, right=1 - 0.06 / width, top=1 - head / height, bottom=bottom / height,
         )  # fmt: skip
         at = 0
         for number, (row, bands) in enumerate(zip(rows, heights, strict=True)):
@@ -200,7 +203,7 @@ def _draw_row(figure: Figure, grid, at: int, row: Row, labels: list[str], common
     for i, label in enumerate(labels, start=1):
         picture, errors = figure.add_subplot(grid[at, i]), figure.add_subplot(grid[at + 1, i])
         if first:
-            picture.set_title(label, fontsize=9, pad=4)
+            picture.set_title(_titled(label), fontsize=9, pad=4)
         columns.append(picture)
         if label not in row.pictures:
             _show(picture, np.ones_like(row.reference))
@@ -227,6 +230,12 @@ def _draw_row(figure: Figure, grid, at: int, row: Row, labels: list[str], common
             f"{row.psnr[label]:.2f} dB" if known else MISSING, fontsize=8.5, labelpad=2, fontweight=weight
         )
     _enlarge(figure, grid, at + 2, row, columns, labels)
+
+
+def _titled(label: str) -> str:
+    """A column's title in lines no wider than its pictures; variants break at their commas."""
+    lines = textwrap.wrap(label.replace(",", ", "), TITLE_WIDTH, break_on_hyphens=False)
+    return "\n".join(lines) or label
 
 
 def _show(axis: Axes, picture: Image) -> None:

@@ -60,6 +60,32 @@ def eigenvalues(task: Any, method: dict[str, Any], count: int = 128) -> list[dic
     return [row("eigenvalue/relative", v, f"element={i + 1}") for i, v in enumerate(values.tolist())]
 
 
+def capacity(task: Any, method: dict[str, Any], targets: list[float]) -> list[dict[str, Any]]:
+    """Error on held-out configurations against the number of elements, and what ``basis=auto`` chooses.
+
+    ``basis/chosen`` is the smallest number whose error meets the target; missing where none does.
+    """
+    curve: dict[int, dict[str, float]] = {}
+
+    class Curve(Silent):
+        def step(self, step: int, **values: float) -> None:
+            curve[step] = values
+
+    SvdTransfer(**{**method, "basis": 1}).fit(task, Curve(), 0, "cpu")
+    rows = []
+    for step, values in curve.items():
+        rows.append(row("error/held_out", values["held_out_error"], f"basis={step}"))
+        rows.append(row("error/bound", values["bound"], f"basis={step}"))
+    for target in targets:
+        try:
+            model = fitted(task, method, basis="auto", target_error=target)
+        except PrtError:  # not met by any number: the curve shows why
+            continue
+        rows.append(row("basis/chosen", len(model.basis), f"target={target:g}"))
+        rows.append(row("bytes/model", model.nbytes(), f"target={target:g}"))
+    return rows
+
+
 def table1(
     task: Any, method: dict[str, Any], basis: list[int], repetitions: int = 30, paper_size: int = 1024,
     paper_points: int = 256,

@@ -10,7 +10,7 @@ from prt.bench.compose import compose
 from prt.bench.run import build_task
 from prt.errors import PrtError
 from prt.light.local import LightRig
-from prt.methods.benchmark_svd import Silent, eigenvalues, fitted, storage
+from prt.methods.benchmark_svd import Silent, capacity, eigenvalues, fitted, storage
 from prt.methods.stability_svd import flicker, judged, measure_failures
 from prt.methods.svd_transfer import Storage, SvdTransfer
 
@@ -204,6 +204,16 @@ def test_flicker_of_a_perfect_method_is_zero(task):
 def test_eigenvalues_fall_from_one(task):
     values = [row["value"] for row in eigenvalues(task, SETTINGS, 8)]
     assert values[0] == 1 and values == sorted(values, reverse=True)
+
+
+def test_the_curve_justifies_the_chosen_number(task):
+    rows = capacity(task, SETTINGS, [0.9, 1e-9])
+    error = {r["variant"]: r["value"] for r in rows if r["metric"] == "error/held_out"}
+    chosen = {r["variant"]: r["value"] for r in rows if r["metric"] == "basis/chosen"}
+    assert "target=1e-09" not in chosen
+    number = int(chosen["target=0.9"])
+    assert error[f"basis={number}"] <= 0.9
+    assert all(error[f"basis={n}"] > 0.9 for n in range(1, number))
 
 
 def test_the_method_composes_and_builds():

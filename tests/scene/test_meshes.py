@@ -76,7 +76,8 @@ def test_a_mesh_looks_like_the_shape_it_is_made_of(kind, flipped):
     sensor = {
         "type": "perspective", "fov": 40.0, "sampler": {"type": "independent", "sample_count": 16},
         "to_world": mi.ScalarTransform4f().look_at([2.5, 1.5, 3.0], [0.3, -0.2, 0.6], [0, 1, 0]),
-        "film": {"type": "hdrfilm", "width": 24, "height": 24, "rfilter": {"type": "box"}, "pixel_format": "rgb"},
+        "film": {"type": "hdrfilm", "width": 24, "height": 24, "rfilter": {"type": "box"},
+                 "pixel_format": "rgb"},
     }  # fmt: skip
     lamp = {"type": "point", "position": [2.0, 2.0, 2.0], "intensity": {"type": "rgb", "value": 10.0}}
     integrator, images = mi.load_dict({"type": "path", "max_depth": 2}), []
