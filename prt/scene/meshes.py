@@ -13,14 +13,14 @@ from prt.scene.lightmap_points import TriangleMesh
 from prt.scene.mitsuba_setup import mitsuba
 from prt.scene.shapes import MeshData, to_mesh
 
-#: cells of round shapes along their first and second texture coordinate
-ROUND = (64, 32)
+#: cells along the first and second texture coordinate
+CELLS = {"Rectangle": (1, 1), "Disk": (8, 64), "Sphere": (96, 48), "Cylinder": (64, 8)}
 
 
 def as_meshes(shapes: list[Any]) -> list[Any]:
     """The same shapes, analytic ones as ``mi.Mesh`` with their own BSDF and interior.
 
-    Rectangles are exact; disks, spheres and cylinders become %d x %d cells.
+    Rectangles are exact; disks, spheres and cylinders get the cells of :data:`CELLS`.
 
     Raises:
         PrtError: for a shape that is no surface made of triangles (curves, signed distance grids).
@@ -28,9 +28,6 @@ def as_meshes(shapes: list[Any]) -> list[Any]:
     mi = mitsuba()
     # not is_mesh(): Mitsuba says so of its rectangle, which has no vertices to ask for
     return [shape if "vertex_positions" in mi.traverse(shape) else _mesh_of(shape) for shape in shapes]
-
-
-as_meshes.__doc__ = (as_meshes.__doc__ or "") % ROUND
 
 
 def _mesh_of(shape: Any) -> Any:
@@ -42,7 +39,7 @@ def _mesh_of(shape: Any) -> Any:
             f"shape {shape.id()!r} is a {kind}, which has no lightmap here; allowed are triangle meshes, "
             f"{', '.join(name.lower() for name in makers)}, cube and hair scenes of their own"
         )
-    columns, rows = (1, 1) if kind == "Rectangle" else ROUND
+    columns, rows = CELLS[kind]
     u, v = np.meshgrid(np.linspace(0, 1, columns + 1), np.linspace(0, 1, rows + 1))
     position, normal = makers[kind](u.ravel(), v.ravel())
     corner = np.arange(rows * (columns + 1)).reshape(rows, columns + 1)[:, :-1].ravel()

@@ -61,6 +61,12 @@ def test_vertices_and_normals_of_analytic_shapes(kind, flipped, mirrored):
     # winding and vertex normals on one side, and that is the side the shape itself says
     assert bool(((cross[:, None] * whole.normal[whole.face]).sum(2) > 0).all())
     place, normal = sampled(found)
+    if kind == "sphere":  # Mitsuba 3.9.1 does not turn the normals it samples with the sphere
+        mi = mitsuba()
+        outward = (place - np.array(placement().matrix)[:3, 3]) / 0.9
+        rays = mi.Ray3f(mi.Point3f((place + outward).T.copy()), mi.Vector3f(-outward.T.copy()))
+        hit = mi.load_dict({"type": "scene", "it": found}).ray_intersect(rays)
+        normal = np.array(hit.n).T.astype(np.float32)
     for number in range(0, 500, 25):
         nearest = int((whole.position - torch.from_numpy(place[number])).norm(dim=1).argmin())
         assert float(whole.normal[nearest] @ torch.from_numpy(normal[number])) > 0.97
