@@ -149,7 +149,7 @@ def storage(elements: int, size: int, points: int) -> list[dict[str, Any]]:
         row("bytes/basis", formula.basis, variant), row("bytes/transfer", formula.transfer, variant),
     ]  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
-        for name, shape in (("basis", (elements, size, size, 1)), ("transfer", (elements, points))):
+        for name, shape in (("basis", (elements, size, size, 1)), ("transfer", (3, points, elements - 1))):
             path = Path(folder) / f"{name}.safetensors"
             save_file({name: torch.zeros(shape)}, path)
             rows.append(row(f"bytes/{name}_file", path.stat().st_size, variant))

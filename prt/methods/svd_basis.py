@@ -11,7 +11,7 @@ I (N, T), both divided by the norms of D's rows:
 import dataclasses
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from prt.errors import PrtError
@@ -25,11 +25,19 @@ BLACK = 1e-6
 
 @dataclasses.dataclass
 class Pairs:
-    """Normalised pairs: N vectors of M measurements and T texels; both were divided by ``norm``."""
+    """Normalised pairs: N vectors of M measurements and T texels; both were divided by ``norm``.
+
+    ``row`` says which of the given pairs each is: black ones are left out.
+    """
 
     direct: Float[Tensor, "N M"]
     indirect: Float[Tensor, "N T"]
     norm: Float[Tensor, "N"]
+    row: Int[Tensor, "N"]
+
+    def part(self, chosen: Bool[Tensor, "N"]) -> "Pairs":
+        """Some of them."""
+        return Pairs(self.direct[chosen], self.indirect[chosen], self.norm[chosen], self.row[chosen])
 
 
 @dataclasses.dataclass
@@ -78,7 +86,7 @@ def normalised(direct: Float[Tensor, "N M"], indirect: Float[Tensor, "N T"], kin
             "method.points"
         )
     scale = norm[lit, None]
-    return Pairs(direct[lit] / scale, indirect[lit] / scale, norm[lit])
+    return Pairs(direct[lit] / scale, indirect[lit] / scale, norm[lit], lit.nonzero()[:, 0])
 
 
 def extract(indirect: Float[Tensor, "N T"]) -> SvdBasis:

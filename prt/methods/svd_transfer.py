@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
@@ -46,8 +46,9 @@ class SvdTransfer:
             of elements given it only draws the curve, and all configurations are used.
         points: measurements of direct light; ``supersample`` points are averaged for each (section 5.1).
         regularisation: lambda of Eq. 14 for direct vectors of unit norm; null or 0: pseudo-inverse (Eq. 13).
-        channels: ``shared``, one basis for the three channels as separate vectors (the paper's choice,
-            section 5.2); ``interleaved``, colours are part of the basis; ``separate``, a basis per channel.
+        channels: ``shared``, one basis for the three channels as separate vectors, a transfer matrix each
+            (the paper's choice, section 5.2); ``interleaved``, colours are part of the basis and there is
+            one matrix; ``separate``, a basis per channel.
         gamma: direct and indirect light to the power 1 / gamma before, back after (section 5.3); 1: linear.
         normalise: each pair is divided by a norm of its direct light: ``l2`` (section 4.2), ``l1``, ``none``.
             The indirect light follows the sum of the direct, which is the l1 norm: a small bright spot has a
@@ -112,18 +113,18 @@ class SvdTransfer:
         direct, indirect = self._encoded(direct), self._encoded(database.lightmaps)
         poses = torch.tensor([rig.pose for rig in database.rigs])
         elements = self._elements(direct, indirect, log, count)
-        groups = self._groups(direct, indirect)
         self.spectrum = []
         images, matrices = [], []
-        for vectors_d, vectors_i, of in groups:
-            pairs = self._pairs(vectors_d, vectors_i)
+        for group in self._groups(direct, indirect):
+            pairs = normalised(group.direct, group.indirect, self.normalise)
             whole = extract(pairs.indirect)
             self.spectrum.append(whole.eigenvalues)
             kept = min(elements - 1, len(whole.vectors))
             texels = torch.zeros((elements, pairs.indirect.shape[1]))
             texels[0], texels[1 : kept + 1] = whole.mean, whole.vectors[:kept]
             images.append(texels)
-            matrices.append(self._transfers(pairs, whole.coefficients[:, :kept], poses[of], elements - 1))
+            coefficients = whole.coefficients[:, :kept]
+            matrices += self._transfers(pairs, coefficients, group, poses, elements - 1)
         height, width = database.size
         maps = [self._to_image(texels, database.fill, height, width) for texels in images]
         self.basis = torch.cat(maps, dim=3)  # (n, H, W, C)
@@ -139,39 +140,47 @@ class SvdTransfer:
         """Gamma correction (section 5.3)."""
         return values if self.gamma == 1 else values.clamp_min(0) ** (1 / self.gamma)
 
-    def _groups(self, direct: Float[Tensor, "N M 3"], indirect: Float[Tensor, "N T 3"]):
-        """The databases a basis is made of: (direct vectors, indirect vectors, configuration of each)."""
-        number = torch.arange(len(direct))
+    def _groups(self, direct: Float[Tensor, "N M 3"], indirect: Float[Tensor, "N T 3"]) -> list["Vectors"]:
+        """The vectors that one basis is made of, for each basis.
+
+        With ``shared`` the channels are vectors of one basis but keep a transfer matrix each ("we have to
+        perform a transfer matrix multiplication per color channel", section 5.2): what a red wall or a
+        medium does with light differs from channel to channel, and its direct light does not say so.
+        """
+        count = len(direct)
+        number = torch.arange(count)
         if self.channels == "interleaved":
-            return [(direct.flatten(1), indirect.flatten(1), number)]
-        split = [(direct[..., c], indirect[..., c], number) for c in range(3)]
-        if self.channels == "separate":
-            return split
-        return [tuple(torch.cat(parts) for parts in zip(*split, strict=True))]
+            return [Vectors(direct.flatten(1), indirect.flatten(1), number, torch.zeros_like(number))]
+        parts = [Vectors(direct[..., c], indirect[..., c], number, torch.full((count,), c)) for c in range(3)]
+        return parts if self.channels == "separate" else [Vectors.joined(parts)]
 
-    def _pairs(self, direct: Tensor, indirect: Tensor) -> Pairs:
-        return normalised(direct, indirect, self.normalise)
+    def _transfers(
+        self, pairs: Pairs, coefficients: Tensor, group: "Vectors", poses: Tensor, columns: int
+    ) -> list[Tensor]:
+        """For each channel of the group, a matrix (M, columns) for all keyframes or one per keyframe.
 
-    def _transfers(self, pairs: Pairs, coefficients: Tensor, poses: Tensor, columns: int) -> Tensor:
-        """One matrix (M, columns) for all keyframes, or one per keyframe; columns beyond the rank are 0."""
-        which = [torch.ones(len(pairs.direct), dtype=torch.bool)]
-        if self.keyframes == "separate" and self.asset.poses > 1:
-            if len(poses) != len(pairs.direct):
-                raise PrtError("method.keyframes=separate needs light in every configuration; use shared")
-            which = [poses == pose for pose in range(self.asset.poses)]
-            empty = [pose for pose, rows in enumerate(which) if not bool(rows.any())]
-            if empty:
-                raise PrtError(
-                    f"no training configuration shows keyframe {empty[0]}; raise task.train_count, lower "
-                    "scene.keyframes or use method.keyframes=shared"
-                )
+        Columns beyond the rank are 0, and so is the matrix of a channel that was never lit.
+        """
+        channel, pose = group.channel[pairs.row], poses[group.configuration[pairs.row]]
+        own = self.keyframes == "separate" and self.asset.poses > 1
         found = []
-        for rows in which:
-            small = transfer_matrix(pairs.direct[rows], coefficients[rows], self.regularisation)
-            matrix = torch.zeros((pairs.direct.shape[1], columns), dtype=torch.float64)
-            matrix[:, : small.shape[1]] = small
-            found.append(matrix)
-        return torch.stack(found)
+        for c in group.channel.unique():
+            matrices = []
+            for keyframe in range(self.asset.poses if own else 1):
+                rows = (channel == c) & ((pose == keyframe) if own else True)
+                if own and not bool(rows.any()):
+                    raise PrtError(
+                        f"no training configuration lights keyframe {keyframe}; raise task.train_count, "
+                        "lower scene.keyframes or use method.keyframes=shared"
+                    )
+                matrix = torch.zeros((pairs.direct.shape[1], columns), dtype=torch.float64)
+                if bool(rows.any()):
+                    matrix[:, : coefficients.shape[1]] = transfer_matrix(
+                        pairs.direct[rows], coefficients[rows], self.regularisation
+                    )
+                matrices.append(matrix)
+            found.append(torch.stack(matrices))
+        return found
 
     def _elements(self, direct: Tensor, indirect: Tensor, log: FitLog, count: int) -> int:
         """The given number, or the smallest that meets the target on held-out configurations.
@@ -191,11 +200,15 @@ class SvdTransfer:
         curves = []
         trained = self._groups(direct[:-held], indirect[:-held])
         unseen = self._groups(direct[-held:], indirect[-held:])
-        for (d, i, _), (d_new, i_new, _) in zip(trained, unseen, strict=True):
-            pairs = self._pairs(d, i)
+        for group, new in zip(trained, unseen, strict=True):
+            pairs = normalised(group.direct, group.indirect, self.normalise)
+            judged = normalised(new.direct, new.indirect, self.normalise)
             basis = extract(pairs.indirect)
-            transfer = transfer_matrix(pairs.direct, basis.coefficients, self.regularisation)
-            curves.append(error_curve(basis, transfer, self._pairs(d_new, i_new)))
+            for c in group.channel.unique():
+                rows = group.channel[pairs.row] == c
+                transfer = transfer_matrix(pairs.direct[rows], basis.coefficients[rows], self.regularisation)
+                part = judged.part(new.channel[judged.row] == c)
+                curves.append(error_curve(basis, transfer, part))
         length = min(min(len(error) for error, _ in curves), count - held)
         error = torch.stack([e[:length] for e, _ in curves]).square().mean(0).sqrt()
         bound = torch.stack([b[:length] for _, b in curves]).square().mean(0).sqrt()
@@ -249,8 +262,6 @@ class SvdTransfer:
             norm = norm_of(vector[None], self.normalise)
             return torch.cat([norm, vector @ matrix[0]])[:, None].expand(-1, 3)
         norm = norm_of(direct.T, self.normalise)
-        if self.channels == "shared":
-            return torch.cat([norm[None], matrix[0].T @ direct])
         return torch.cat([norm[None], torch.einsum("bmk,mb->kb", matrix, direct)])
 
     def shade(
@@ -346,6 +357,22 @@ class SvdTransfer:
         self._ready()
 
 
+@dataclasses.dataclass
+class Vectors:
+    """Vectors of one basis, with the configuration and the channel (0 where they are not apart) of each."""
+
+    direct: Float[Tensor, "N M"]
+    indirect: Float[Tensor, "N T"]
+    configuration: Int[Tensor, "N"]
+    channel: Int[Tensor, "N"]
+
+    @staticmethod
+    def joined(parts: list["Vectors"]) -> "Vectors":
+        """All of them in one list."""
+        names = [field.name for field in dataclasses.fields(Vectors)]
+        return Vectors(*(torch.cat([getattr(part, name) for part in parts]) for name in names))
+
+
 @dataclasses.dataclass(frozen=True)
 class Storage:
     """Bytes at run time by formula: what Belcour 2022, section 6.5, counts."""
@@ -354,9 +381,10 @@ class Storage:
     transfer: int
 
     @staticmethod
-    def of(elements: int, height: int, width: int, points: int, channels: int = 1) -> "Storage":
-        """Float32 textures of ``elements`` maps, the mean among them, and a matrix of elements x points."""
-        return Storage(4 * elements * height * width * channels, 4 * elements * points)
+    def of(elements: int, height: int, width: int, points: int) -> "Storage":
+        """Float32 textures of ``elements`` monochannel maps, the mean among them, and for each of the three
+        channels a matrix of as many rows as there are maps to weigh, the mean not among them."""
+        return Storage(4 * elements * height * width, 3 * 4 * (elements - 1) * points)
 
 
 __all__ = ["SvdTransfer", "Storage", "condition"]

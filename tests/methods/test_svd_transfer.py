@@ -157,6 +157,42 @@ def test_keyframes_share_a_basis_and_may_have_their_own_transfer(tmp_path, monke
     assert not torch.equal(own.light(item.lighting), own.light(other))
 
 
+def test_transport_that_differs_from_channel_to_channel_is_learnt():
+    """A medium that absorbs blue: the direct light on its white boundary does not say so."""
+    from prt.tasks.local_lights import Database
+
+    g = torch.Generator().manual_seed(0)
+    light, transport = torch.rand((40, 6, 3), generator=g), torch.rand((50, 6), generator=g)
+    absorbed = torch.tensor([1.0, 0.7, 0.2])
+    maps = torch.einsum("tm,nmc->ntc", transport, light) * absorbed
+    whole = torch.ones(50, dtype=torch.bool)
+    rigs = [LightRig(pose=0) for _ in light]
+
+    class Asset:
+        size, poses, stores, covered = (5, 10), 1, "outgoing", whole
+
+    class Task:
+        asset = Asset()
+
+        def database(self):
+            return Database(rigs, maps, whole, torch.arange(50), (5, 10), 0.0)
+
+    for channels in ("shared", "separate", "interleaved"):
+        model = SvdTransfer(**{**SETTINGS, "basis": 20, "channels": channels, "regularisation": None})
+        rows = iter(light)
+
+        def take(task, seed, device, model=model, rows=rows):
+            model.asset, model.meter = task.asset, lambda rig: next(rows)
+
+        model._take = take
+        model.fit(Task(), Silent(), 0, "cpu")
+        unseen = torch.rand((6, 3), generator=g)
+        found = torch.einsum("kc,khwd->hwcd", model.coefficients(unseen), model.basis)
+        found = found.diagonal(dim1=2, dim2=3) if found.shape[3] == 3 else found[..., 0]
+        truth = (transport @ unseen * absorbed).view(5, 10, 3)
+        assert float((found - truth).norm() / truth.norm()) < 1e-3, channels
+
+
 def test_storage_of_the_papers_size():
     assert Storage.of(16, 1024, 1024, 256).basis == 64 * 2**20  # "64MB" (section 6.5)
     found = {row["metric"]: row["value"] for row in storage(16, 64, 32)}
