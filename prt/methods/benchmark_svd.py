@@ -47,8 +47,13 @@ def row(
     device: str = "",
     hi: float | None = None,
 ) -> dict[str, Any]:
-    """A row of ``results.csv`` without interval, except an upper one (95th percentile) where given."""
-    found = {"method": method, "device": device, "variant": variant, "component": "", "metric": metric}
+    """A row of ``results.csv`` without interval, except an upper one (95th percentile) where given.
+
+    Times and sizes are of the whole method, all else is of indirect light.
+    """
+    component = "" if metric.startswith(("time/", "bytes/")) else "indirect"
+    found = {"method": method, "device": device, "variant": variant, "metric": metric}
+    found["component"] = component
     return {**found, "value": float(value), "lo": None, "hi": hi, "n": 1}
 
 
