@@ -15,7 +15,8 @@ import prt
 
 #: packages whose version can change a number
 PACKAGES = (
-    "mitsuba", "drjit", "mitsuba-oidn", "torch", "numpy", "hydra-core", "omegaconf", "scikit-image",
+    "mitsuba", "drjit", "mitsuba-oidn", "moderngl", "xatlas", "torch", "numpy", "hydra-core", "omegaconf",
+    "scikit-image",
     "flip-evaluator", "safetensors", "OpenEXR", "pandas", "karellen-llvm-core",
 )  # fmt: skip
 
