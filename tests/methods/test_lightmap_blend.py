@@ -108,12 +108,12 @@ def test_what_does_not_fit_is_refused():
             blend(basis, coefficients, uv, gamma)
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="torch sees no CUDA device")
+@pytest.mark.parametrize("device", ["cpu", *(["cuda"] if torch.cuda.is_available() else [])])
 @pytest.mark.parametrize("channels", [1, 3])
-def test_cuda_agrees_with_the_cpu(channels):
+def test_every_device_here_agrees_with_the_cpu(channels, device):
     basis, coefficients, uv = random(6, HEIGHT, WIDTH, channels), random(6, 3, seed=2), places()
-    cpu, cuda = Blender(basis), Blender(basis.cuda())
+    cpu, other = Blender(basis), Blender(basis.to(device))
     for order in ("blend_first", "sample_first"):
         expected = getattr(cpu, order)(coefficients, uv)
-        found = getattr(cuda, order)(coefficients.cuda(), uv.cuda()).cpu()
+        found = getattr(other, order)(coefficients.to(device), uv.to(device)).cpu()
         torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
