@@ -61,7 +61,13 @@ class SurfaceAsset:
 
     def shapes(self, pose: int = 0) -> list[Any]:
         """Its ``mi.Mesh`` objects; scenes with different emitters share them."""
-        return self._once(("shapes", pose), lambda: as_meshes(list(self.scene.posed(pose).load().shapes())))
+
+        def make() -> list[Any]:
+            content = {"type": "scene", **self.scene.posed(pose).description()}
+            # not optimised: merged shapes come in another order every time, and an atlas is kept by triangle
+            return as_meshes(list(mitsuba().load_dict(content, optimize=False).shapes()))
+
+        return self._once(("shapes", pose), make)
 
     def load(self, emitters: dict[str, Any], pose: int = 0) -> Any:
         """A ``mi.Scene`` of the asset in this pose under these emitters."""
@@ -95,7 +101,7 @@ class SurfaceAsset:
 
     def _oriented(self, mesh: TriangleMesh) -> TriangleMesh:
         """Normals turned to the side the cameras look at: a wall may be modelled either way round."""
-        turn = self._turned[mesh.shape]
+        turn = self._turned
         if not bool(turn.any()):
             return mesh
         vertex = torch.zeros(len(mesh.position), dtype=torch.bool)
@@ -105,22 +111,28 @@ class SurfaceAsset:
         return TriangleMesh(mesh.position, normal, face, mesh.shape)
 
     @functools.cached_property
-    def _turned(self) -> Bool[Tensor, "shapes"]:
-        """Which shapes are seen from behind more often than from in front; pose 0 decides for all."""
-        count = len(self.shapes(0))
-        front = torch.zeros(count)
+    def _turned(self) -> Bool[Tensor, "F"]:
+        """Triangles of sheets that are seen from behind more often than from in front, in pose 0.
+
+        A sheet and not a shape: Mitsuba merges the shapes of a file that share a material. One that no view
+        sees goes by its whole shape.
+        """
+        mesh = one_mesh(self.shapes(0))[0]
         if self.stores == "outgoing":  # a solid's outside is its outside
-            return front < 0
-        scene, mesh = self.load({}, 0), one_mesh(self.shapes(0))[0]
-        flat = flat_normals(mesh)
+            return torch.zeros(len(mesh.face), dtype=torch.bool)
+        scene, flat = self.load({}, 0), flat_normals(mesh)
+        front = torch.zeros(len(mesh.face))
         for view in self.scene.posed(0).views("train", SIDE_VIEWS, SIDE_PIXELS):
             rays = camera_rays(view)
             found = scene.ray_intersect_preliminary(rays)
             hit = torch.from_numpy(np.array(found.is_valid()))
             triangle = torch.from_numpy(np.array(self._triangles(found, 0)).astype(np.int64))[hit]
             facing = -(flat[triangle] * torch.from_numpy(np.array(rays.d).T)[hit]).sum(1).sign()
-            front.index_add_(0, mesh.shape[triangle], facing)
-        return front < 0
+            front.index_add_(0, triangle, facing)
+        sheet = sheets(mesh)
+        by_sheet = torch.zeros(int(sheet.max()) + 1).index_add_(0, sheet, front)[sheet]
+        by_shape = torch.zeros(int(mesh.shape.max()) + 1).index_add_(0, mesh.shape, front)[mesh.shape]
+        return torch.where(by_sheet == 0, by_shape, by_sheet) < 0
 
     def _triangles(self, found: Any, pose: int) -> Any:
         """The triangle of :meth:`mesh` (``mi.UInt32``) that each intersection is on; misses give any."""
@@ -141,7 +153,7 @@ class SurfaceAsset:
         """Where its triangles lie in the lightmap: the same for all poses."""
         mesh, own = one_mesh(self.shapes(0))
         atlas = unwrap(mesh, self.texels, self.scene.posed(0).fingerprint(), own)
-        turn = self._turned[mesh.shape]
+        turn = self._turned
         corner = torch.where(turn[:, None, None], atlas.corner[:, [0, 2, 1]], atlas.corner)
         return Atlas(atlas.size, corner)
 
@@ -362,6 +374,29 @@ class SurfaceAsset:
         scale = (d00 * d11 - d01 * d01).clamp_min(1e-30)
         weights = torch.stack([(d11 * d20 - d01 * d21) / scale, (d00 * d21 - d01 * d20) / scale], 1)
         return weights.clamp(0, 1).float()
+
+
+def sheets(mesh: TriangleMesh) -> Int[Tensor, "F"]:
+    """Numbers of the connected pieces of each shape whose triangles are all wound the same way round."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    position = mesh.position.numpy().astype(np.float64)
+    grid = np.round(position / max(float(np.ptp(position, axis=0).max()), 1e-12) * 1e6).astype(np.int64)
+    same = np.unique(grid, axis=0, return_inverse=True)[1].ravel()
+    face, count = same[mesh.face.numpy()], len(mesh.face)
+    start, end = face.ravel().astype(np.int64), np.roll(face, -1, axis=1).ravel().astype(np.int64)
+    owner = np.repeat(np.arange(count), 3)
+    shape = mesh.shape.numpy().astype(np.int64)[owner]
+    # neighbours that are wound alike run along their common edge in opposite directions
+    most = len(position)
+    ahead, back = (shape * most + start) * most + end, (shape * most + end) * most + start
+    order = np.argsort(ahead, kind="stable")
+    place = np.searchsorted(ahead[order], back).clip(max=len(order) - 1)
+    met = ahead[order][place] == back
+    links = (owner[met], owner[order][place][met])
+    graph = coo_array((np.ones(len(links[0]), dtype=np.int8), links), shape=(count, count))
+    return torch.from_numpy(connected_components(graph, directed=False)[1].astype(np.int64))
 
 
 def flat_normals(mesh: TriangleMesh) -> Float[Tensor, "F 3"]:
