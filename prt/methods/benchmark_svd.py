@@ -3,6 +3,7 @@
 Called by ``prt table belcour2022/table1`` and ``belcour2022/figure3``; failures are in ``stability_svd.py``.
 """
 
+import dataclasses
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import torch
 
 from prt.errors import PrtError
-from prt.methods.svd_transfer import Storage, SvdTransfer
+from prt.methods.svd_transfer import SvdTransfer
 from prt.metrics.timing import device_name, time_repeated
 
 NAME, PLAIN = "svd_transfer", "no_indirect"
@@ -122,7 +123,7 @@ def table1(
         with model.shader() as shader:
             gpu = renderer_name()
             shader.set_gbuffer(
-                item.gbuffer, model._scale(item.gbuffer), torch.zeros_like(item.gbuffer.diffuse)
+                item.gbuffer, model.scale(item.gbuffer), torch.zeros_like(item.gbuffer.diffuse)
             )
 
             def frame(indirect: bool, shader: Any = shader, code: Any = code) -> Any:
@@ -142,6 +143,20 @@ def table1(
         rows.append(row("bytes/transfer", 4 * model.transfer.numel(), variant, device=cpu))
     rows.append(row("time/bake", task.database().seconds, device=cpu))
     return rows + storage(16, paper_size, paper_points)
+
+
+@dataclasses.dataclass(frozen=True)
+class Storage:
+    """Bytes at run time by formula: what Belcour 2022, section 6.5, counts."""
+
+    basis: int
+    transfer: int
+
+    @staticmethod
+    def of(elements: int, height: int, width: int, points: int) -> "Storage":
+        """Float32 textures of ``elements`` monochannel maps, the mean among them, and for each of the three
+        channels a matrix of as many rows as there are maps to weigh, the mean not among them."""
+        return Storage(4 * elements * height * width, 3 * 4 * (elements - 1) * points)
 
 
 def storage(elements: int, size: int, points: int) -> list[dict[str, Any]]:

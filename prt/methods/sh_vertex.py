@@ -18,6 +18,7 @@ from prt.light.local import LightRig
 from prt.light.sh import project, sh_basis
 from prt.methods.base import Component, FitLog
 from prt.scene.asset import scaled_albedo
+from prt.scene.atlas import interpolate
 from prt.scene.lightmap_points import AtlasGBuffer, TriangleMesh
 from prt.trace.sh_transfer import vertex_transfer
 
@@ -129,10 +130,7 @@ class ShVertex:
         if not isinstance(gbuffer, AtlasGBuffer):
             raise PrtError("sh_vertex needs a G-buffer of its asset (Asset.capture), with triangles")
         corners = self._fitted()[2][gbuffer.triangle]
-        second, third = gbuffer.barycentric.T[..., None]
-        first = 1 - second - third
-        mixed = first * colour[corners[:, 0]] + second * colour[corners[:, 1]] + third * colour[corners[:, 2]]
-        return scaled_albedo(gbuffer) * mixed
+        return scaled_albedo(gbuffer) * interpolate(colour[corners], gbuffer.barycentric)
 
     def _fitted(self) -> tuple[Tensor, Tensor, Tensor]:
         """Direct transfer, interreflected transfer, faces."""

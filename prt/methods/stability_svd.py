@@ -13,7 +13,7 @@ from torch import Tensor
 
 from prt.errors import PrtError
 from prt.light.local import LightRig
-from prt.methods.benchmark_svd import fitted, row
+from prt.methods.benchmark_svd import Silent, fitted, row
 from prt.methods.svd_basis import condition, normalised
 from prt.methods.svd_transfer import SvdTransfer
 from prt.scene.lightmap_points import MeasurePoints
@@ -87,21 +87,27 @@ class Repeating(Meter):
         return moved
 
 
+class WithDuplicates(SvdTransfer):
+    """The method with a share of its points near-duplicates of others."""
+
+    share = 0.0
+
+    def _take(self, task: Any, seed: int, device: str) -> None:
+        super()._take(task, seed, device)
+        self.meter = Repeating(task.asset, self.points, self.supersample, seed)
+        self.meter.share = self.share
+
+
 def with_duplicates(task: Any, method: dict[str, Any], share: float, value: float) -> SvdTransfer:
-    """The method with a share of its points near-duplicates, and with this lambda."""
+    """The method with a share of its points near-duplicates, and with this lambda, fitted.
+
+    Raises:
+        PrtError: for a share that leaves fewer points than it repeats.
+    """
     if not 0 <= share <= 0.5:
         raise PrtError(f"benchmark.duplicates={share} must lie between 0 and 0.5")
-    model = SvdTransfer(**{**method, "regularisation": value})
-    take = model._take
-
-    def replaced(task: Any, seed: int, device: str) -> None:
-        take(task, seed, device)
-        model.meter = Repeating(task.asset, model.points, model.supersample, seed)
-        model.meter.share = share
-
-    model._take = replaced  # pyright: ignore
-    from prt.methods.benchmark_svd import Silent
-
+    model = WithDuplicates(**{**method, "regularisation": value})
+    model.share = share
     model.fit(task, Silent(), 0, "cpu")
     return model
 

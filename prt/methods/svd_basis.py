@@ -24,6 +24,22 @@ BLACK = 1e-6
 
 
 @dataclasses.dataclass
+class Vectors:
+    """Vectors of one basis, with the configuration and the channel (0 where they are not apart) of each."""
+
+    direct: Float[Tensor, "N M"]
+    indirect: Float[Tensor, "N T"]
+    configuration: Int[Tensor, "N"]
+    channel: Int[Tensor, "N"]
+
+    @staticmethod
+    def joined(parts: list["Vectors"]) -> "Vectors":
+        """All of them in one list."""
+        names = [field.name for field in dataclasses.fields(Vectors)]
+        return Vectors(*(torch.cat([getattr(part, name) for part in parts]) for name in names))
+
+
+@dataclasses.dataclass
 class Pairs:
     """Normalised pairs: N vectors of M measurements and T texels; both were divided by ``norm``.
 

@@ -1,13 +1,12 @@
 """Data-driven transfer by SVD (Belcour et al. 2022): indirect light from a few measurements of direct."""
 
-import dataclasses
 import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
@@ -18,7 +17,7 @@ from prt.methods.lightmap_blend import Blender
 from prt.methods.svd_basis import (
     NORMS,
     Pairs,
-    condition,
+    Vectors,
     error_curve,
     extract,
     norm_of,
@@ -95,6 +94,7 @@ class SvdTransfer:
         self.spectrum: list[Tensor] = []  # eigenvalues of each group of vectors, after fit
         self._blender: Blender | None = None
         self._shader: Any = None
+        self._shown: AtlasGBuffer | None = None  # what the shader's G-buffer holds
         self._device = "cpu"
 
     # ---- fitting
@@ -140,7 +140,7 @@ class SvdTransfer:
         """Gamma correction (section 5.3)."""
         return values if self.gamma == 1 else values.clamp_min(0) ** (1 / self.gamma)
 
-    def _groups(self, direct: Float[Tensor, "N M 3"], indirect: Float[Tensor, "N T 3"]) -> list["Vectors"]:
+    def _groups(self, direct: Float[Tensor, "N M 3"], indirect: Float[Tensor, "N T 3"]) -> list[Vectors]:
         """The vectors that one basis is made of, for each basis.
 
         With ``shared`` the channels are vectors of one basis but keep a transfer matrix each ("we have to
@@ -155,7 +155,7 @@ class SvdTransfer:
         return parts if self.channels == "separate" else [Vectors.joined(parts)]
 
     def _transfers(
-        self, pairs: Pairs, coefficients: Tensor, group: "Vectors", poses: Tensor, columns: int
+        self, pairs: Pairs, coefficients: Tensor, group: Vectors, poses: Tensor, columns: int
     ) -> list[Tensor]:
         """For each channel of the group, a matrix (M, columns) for all keyframes or one per keyframe.
 
@@ -278,15 +278,16 @@ class SvdTransfer:
             raise PrtError("svd_transfer needs a G-buffer of its asset (Asset.capture), with lightmap places")
         if self.renderer == "shader":
             return self._shade_on_screen(gbuffer, code)
-        return self._scale(gbuffer) * self._blender.blend(code, gbuffer.uv, self.gamma)
+        return self.scale(gbuffer) * self._blender.blend(code, gbuffer.uv, self.gamma)
 
-    def _scale(self, gbuffer: AtlasGBuffer) -> Tensor:
+    def scale(self, gbuffer: AtlasGBuffer) -> Float[Tensor, "N 3"]:
+        """What the lightmap's values are multiplied by."""
         return scaled_albedo(gbuffer) if self.asset.stores == "incident" else torch.ones_like(gbuffer.diffuse)
 
     def _shade_on_screen(self, gbuffer: AtlasGBuffer, code: Tensor) -> Tensor:
         shader = self.shader()
         if self._shown is not gbuffer:
-            shader.set_gbuffer(gbuffer, self._scale(gbuffer), torch.zeros_like(gbuffer.diffuse))
+            shader.set_gbuffer(gbuffer, self.scale(gbuffer), torch.zeros_like(gbuffer.diffuse))
             self._shown = gbuffer
         image = shader.render(code.cpu())
         return image.reshape(-1, 3)[gbuffer.hit.cpu()]
@@ -355,36 +356,3 @@ class SvdTransfer:
                 f"{(height, width)}; set task.texels as it was when the model was fitted"
             )
         self._ready()
-
-
-@dataclasses.dataclass
-class Vectors:
-    """Vectors of one basis, with the configuration and the channel (0 where they are not apart) of each."""
-
-    direct: Float[Tensor, "N M"]
-    indirect: Float[Tensor, "N T"]
-    configuration: Int[Tensor, "N"]
-    channel: Int[Tensor, "N"]
-
-    @staticmethod
-    def joined(parts: list["Vectors"]) -> "Vectors":
-        """All of them in one list."""
-        names = [field.name for field in dataclasses.fields(Vectors)]
-        return Vectors(*(torch.cat([getattr(part, name) for part in parts]) for name in names))
-
-
-@dataclasses.dataclass(frozen=True)
-class Storage:
-    """Bytes at run time by formula: what Belcour 2022, section 6.5, counts."""
-
-    basis: int
-    transfer: int
-
-    @staticmethod
-    def of(elements: int, height: int, width: int, points: int) -> "Storage":
-        """Float32 textures of ``elements`` monochannel maps, the mean among them, and for each of the three
-        channels a matrix of as many rows as there are maps to weigh, the mean not among them."""
-        return Storage(4 * elements * height * width, 3 * 4 * (elements - 1) * points)
-
-
-__all__ = ["SvdTransfer", "Storage", "condition"]

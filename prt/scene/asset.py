@@ -11,10 +11,18 @@ from torch import Tensor
 
 from prt.errors import PrtError
 from prt.scene.atlas import Atlas, interpolate, nearest_covered, rasterise, unwrap
-from prt.scene.capture import _first_opaque_hit, _materials, _rows, _towards_viewer, camera_rays
+from prt.scene.capture import camera_rays, facing, first_opaque_hit, materials_of, rows_of
 from prt.scene.gbuffer import GBuffer
-from prt.scene.lightmap_points import AtlasGBuffer, MeasurePoints, Sites, TriangleMesh
-from prt.scene.meshes import as_meshes, one_mesh
+from prt.scene.lightmap_points import (
+    OFFSET,
+    AtlasGBuffer,
+    MeasurePoints,
+    Sites,
+    TriangleMesh,
+    map_view,
+    texel_centres,
+)
+from prt.scene.meshes import as_meshes, flat_normals, one_mesh, sheets
 from prt.scene.mitsuba_setup import mitsuba
 from prt.scene.view import View
 
@@ -70,7 +78,12 @@ class SurfaceAsset:
         return self._once(("shapes", pose), make)
 
     def load(self, emitters: dict[str, Any], pose: int = 0) -> Any:
-        """A ``mi.Scene`` of the asset in this pose under these emitters."""
+        """A ``mi.Scene`` of the asset in this pose under these emitters; one without any is loaded once."""
+        if not emitters:
+            return self._once(("dark", pose), lambda: self._load({}, pose))
+        return self._load(emitters, pose)
+
+    def _load(self, emitters: dict[str, Any], pose: int) -> Any:
         content = {f"shape{i}": shape for i, shape in enumerate(self.shapes(pose))}
         # not optimised: merging shapes would change what prim_index counts
         return mitsuba().load_dict({"type": "scene", **content, **emitters}, optimize=False)
@@ -199,21 +212,13 @@ class SurfaceAsset:
         middle = count.cumsum(0) - count + count // 2  # one of its places stands for the texel
         triangle, weights = triangle[middle], weights[middle]
         position, normal = self._surface(triangle, weights, pose)
-        height, width = self.size
-        flat = self.covered.nonzero()[:, 0]
-        uv = torch.stack([(flat % width + 0.5) / width, (flat // width + 0.5) / height], 1)
+        uv = texel_centres(self.covered.nonzero()[:, 0], self.size)
         one = torch.ones_like(position)
-        view = View(self.centre, self.scene_front, width=width, height=height)  # pyright: ignore
+        view = map_view(self.centre, self.size)
         return AtlasGBuffer(
             position, normal, normal, normal, one, 0 * one, one[:, :1], uv, self.covered, view,
             triangle=triangle, barycentric=weights,
         )  # fmt: skip
-
-    @property
-    def scene_front(self) -> tuple[float, ...]:
-        """A point in front of the centre: a lightmap has no camera, its view only names an image's size."""
-        x, y, z = self.centre
-        return x, y, z + 1.0
 
     def _surface(self, triangle: Tensor, weights: Tensor, pose: int) -> tuple[Tensor, Tensor]:
         mesh = self.mesh(pose)
@@ -233,7 +238,7 @@ class SurfaceAsset:
         scene = self.load({}, 0)
         position, normal = self._surface(triangle, weights, 0)
         flat = self.face_normal(0)
-        origin = position + 1e-4 * self.radius * flat[triangle]
+        origin = position + OFFSET * self.radius * flat[triangle]
         count = len(position)
         rng = mi.load_dict({"type": "independent"})
         rng.seed(0, count)
@@ -298,8 +303,8 @@ class SurfaceAsset:
         out = torch.zeros((len(triangle), 3))
         if len(hit):
             si = dr.gather(mi.SurfaceInteraction3f, si, mi.UInt32(hit.astype(np.uint32)))
-            material = _materials(si, len(hit))
-            albedo = _rows(material.diffuse, len(hit)) + _rows(material.specular, len(hit))
+            material = materials_of(si, len(hit))
+            albedo = rows_of(material.diffuse, len(hit)) + rows_of(material.specular, len(hit))
             out[hit] = albedo.clamp(0, 1)
         return out
 
@@ -333,7 +338,7 @@ class SurfaceAsset:
         mi = mitsuba()
         rays = camera_rays(view)
         # a boundary of a medium is no mask to be looked through
-        si = mi_scene.ray_intersect(rays) if self.stores == "outgoing" else _first_opaque_hit(mi_scene, rays)
+        si = mi_scene.ray_intersect(rays) if self.stores == "outgoing" else first_opaque_hit(mi_scene, rays)
         dr.eval(si)
         hit = torch.from_numpy(np.array(si.is_valid()))
         count = int(hit.sum())
@@ -343,22 +348,19 @@ class SurfaceAsset:
             )
         index = mi.UInt32(hit.nonzero()[:, 0].numpy().astype(np.uint32))
         si = dr.gather(mi.SurfaceInteraction3f, si, index)
-        position = _rows(si.p, count)
-        wo = torch.nn.functional.normalize(torch.tensor(view.origin, dtype=torch.float32) - position, dim=1)
+        position = rows_of(si.p, count)
         triangle = torch.from_numpy(np.array(self._triangles(si, pose)).astype(np.int64))
         barycentric = self._barycentric(triangle, position, pose)
         if self.stores == "outgoing":
             one = torch.ones((count, 3))
-            diffuse, specular, roughness, shading = one, 0 * one, one[:, :1], _rows(si.sh_frame.n, count)
+            diffuse, specular, roughness, shading = one, 0 * one, one[:, :1], rows_of(si.sh_frame.n, count)
         else:
-            material = _materials(si, count)
+            material = materials_of(si, count)
             diffuse, specular, roughness, shading = (
-                _rows(part, count)
+                rows_of(part, count)
                 for part in (material.diffuse, material.specular, material.roughness, material.normal)
             )
-        normal = _towards_viewer(shading, _rows(si.n, count), wo)
-        cosine = (normal * wo).sum(1, keepdim=True)
-        wr = torch.nn.functional.normalize(2 * cosine * normal - wo, dim=1)
+        normal, wo, wr = facing(view, position, shading, rows_of(si.n, count))
         return AtlasGBuffer(
             position, normal, wo, wr, diffuse, specular, roughness, self.atlas.at(triangle, barycentric),
             hit, view, triangle=triangle, barycentric=barycentric,
@@ -374,37 +376,6 @@ class SurfaceAsset:
         scale = (d00 * d11 - d01 * d01).clamp_min(1e-30)
         weights = torch.stack([(d11 * d20 - d01 * d21) / scale, (d00 * d21 - d01 * d20) / scale], 1)
         return weights.clamp(0, 1).float()
-
-
-def sheets(mesh: TriangleMesh) -> Int[Tensor, "F"]:
-    """Numbers of the connected pieces of each shape whose triangles are all wound the same way round."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    position = mesh.position.numpy().astype(np.float64)
-    grid = np.round(position / max(float(np.ptp(position, axis=0).max()), 1e-12) * 1e6).astype(np.int64)
-    same = np.unique(grid, axis=0, return_inverse=True)[1].ravel()
-    face, count = same[mesh.face.numpy()], len(mesh.face)
-    start, end = face.ravel().astype(np.int64), np.roll(face, -1, axis=1).ravel().astype(np.int64)
-    owner = np.repeat(np.arange(count), 3)
-    shape = mesh.shape.numpy().astype(np.int64)[owner]
-    # neighbours that are wound alike run along their common edge in opposite directions
-    most = len(position)
-    ahead, back = (shape * most + start) * most + end, (shape * most + end) * most + start
-    order = np.argsort(ahead, kind="stable")
-    place = np.searchsorted(ahead[order], back).clip(max=len(order) - 1)
-    met = ahead[order][place] == back
-    links = (owner[met], owner[order][place][met])
-    graph = coo_array((np.ones(len(links[0]), dtype=np.int8), links), shape=(count, count))
-    return torch.from_numpy(connected_components(graph, directed=False)[1].astype(np.int64))
-
-
-def flat_normals(mesh: TriangleMesh) -> Float[Tensor, "F 3"]:
-    """Unit normals of the triangles, on the side of the vertex normals."""
-    a, b, c = (mesh.position[mesh.face[:, k]] for k in range(3))
-    flat = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1)
-    side = (flat * mesh.normal[mesh.face].sum(1)).sum(1, keepdim=True)
-    return torch.where(side < 0, -flat, flat)
 
 
 def scaled_albedo(gbuffer: GBuffer) -> Float[Tensor, "N 3"]:

@@ -15,6 +15,7 @@ from torch import Tensor
 from prt.cache import cached
 from prt.errors import PrtError
 from prt.scene.lightmap_points import TriangleMesh
+from prt.scene.meshes import welded
 from prt.scene.mitsuba_setup import mitsuba
 
 #: empty texels between charts, so that bilinear lookups never reach a neighbour's
@@ -87,14 +88,9 @@ def usable(uv: Float[Tensor, "F 3 2"], probe: int = 512) -> bool:
 def _xatlas(mesh: TriangleMesh, texels: int) -> dict[str, Tensor]:
     import xatlas
 
-    # charts grow over shared vertices: those doubled for their normals or texture coordinates are one again
-    position = mesh.position.numpy().astype(np.float32)
-    grid = np.round(position / max(float(np.ptp(position, axis=0).max()), 1e-12) * 1e6).astype(np.int64)
-    _, first, same = np.unique(grid, axis=0, return_index=True, return_inverse=True)
-    welded = position[first]
-    face = same.ravel()[mesh.face.numpy()].astype(np.uint32)
+    position, face = welded(mesh)  # charts grow over shared vertices
     atlas = xatlas.Atlas()
-    atlas.add_mesh(welded, face)
+    atlas.add_mesh(position, face.astype(np.uint32))
     charts, pack = xatlas.ChartOptions(), xatlas.PackOptions()
     pack.resolution, pack.padding, pack.bilinear = texels, PADDING, True
     atlas.generate(charts, pack)

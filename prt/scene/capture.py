@@ -108,34 +108,32 @@ def capture(mi_scene, view: View) -> GBuffer:
     mi = mitsuba()
     if mi.variant().startswith("scalar"):
         raise PrtError("the G-buffer needs a vectorised Mitsuba variant: pip install karellen-llvm-core")
-    si = _first_opaque_hit(mi_scene, camera_rays(view))
+    si = first_opaque_hit(mi_scene, camera_rays(view))
     dr.eval(si)  # once: the gathers below would otherwise trace the rays again
     hit = torch.from_numpy(np.array(si.is_valid()))
     count = int(hit.sum())
     if count == 0:
         return _empty(hit, view)
     si = dr.gather(mi.SurfaceInteraction3f, si, mi.UInt32(hit.nonzero()[:, 0].numpy().astype(np.uint32)))
-    material = _materials(si, count)
+    material = materials_of(si, count)
 
-    position = _rows(si.p, count)
-    wo = torch.nn.functional.normalize(torch.tensor(view.origin, dtype=torch.float32) - position, dim=1)
-    normal = _towards_viewer(_rows(material.normal, count), _rows(si.n, count), wo)
-    cosine = (normal * wo).sum(1, keepdim=True)
+    position = rows_of(si.p, count)
+    normal, wo, wr = facing(view, position, rows_of(material.normal, count), rows_of(si.n, count))
     return GBuffer(
         position=position,
         normal=normal,
         wo=wo,
-        wr=torch.nn.functional.normalize(2 * cosine * normal - wo, dim=1),
-        diffuse=_rows(material.diffuse, count),
-        specular=_rows(material.specular, count),
-        roughness=_rows(material.roughness, count),
-        uv=_rows(si.uv, count),
+        wr=wr,
+        diffuse=rows_of(material.diffuse, count),
+        specular=rows_of(material.specular, count),
+        roughness=rows_of(material.roughness, count),
+        uv=rows_of(si.uv, count),
         hit=hit,
         view=view,
     )
 
 
-def _first_opaque_hit(mi_scene, ray):
+def first_opaque_hit(mi_scene, ray):
     """The first surface that is not mostly transparent; mask BSDFs let the ray through elsewhere.
 
     Thin glass stays a surface: the light it mirrors is part of what is seen.
@@ -162,7 +160,7 @@ def _first_opaque_hit(mi_scene, ray):
     return si
 
 
-def _materials(si, count: int) -> Material:
+def materials_of(si, count: int) -> Material:
     """Evaluate each BSDF on the hits that carry it and put the results together."""
     import drjit as dr
 
@@ -181,11 +179,22 @@ def _materials(si, count: int) -> Material:
     return out
 
 
-def _rows(values, count: int) -> Float[torch.Tensor, "N C"]:
+def rows_of(values, count: int) -> Float[torch.Tensor, "N C"]:
     """A Dr.Jit array of N vectors (or scalars) as a torch tensor with one row each."""
     array = np.array(values, dtype=np.float32)
     array = array[None] if array.ndim == 1 else array
     return torch.from_numpy(np.broadcast_to(array, (array.shape[0], count)).T.copy())
+
+
+def facing(
+    view: View, position: Float[torch.Tensor, "N 3"], shading: Float[torch.Tensor, "N 3"],
+    geometric: Float[torch.Tensor, "N 3"],
+) -> tuple[Float[torch.Tensor, "N 3"], Float[torch.Tensor, "N 3"], Float[torch.Tensor, "N 3"]]:  # fmt: skip
+    """The normal on the viewer's side, ``wo`` towards the viewer, and ``wr``, which is ``wo`` mirrored."""
+    wo = torch.nn.functional.normalize(torch.tensor(view.origin, dtype=torch.float32) - position, dim=1)
+    normal = _towards_viewer(shading, geometric, wo)
+    cosine = (normal * wo).sum(1, keepdim=True)
+    return normal, wo, torch.nn.functional.normalize(2 * cosine * normal - wo, dim=1)
 
 
 def _towards_viewer(shading, geometric, wo) -> Float[torch.Tensor, "N 3"]:

@@ -7,11 +7,8 @@ holds is the outgoing radiance averaged "along the hair's azimuth as well as alo
 texel" (figure 11).
 """
 
-import dataclasses
 import functools
 import math
-import tempfile
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -20,9 +17,12 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from prt.errors import PrtError
-from prt.scene.capture import _rows, _towards_viewer, camera_rays
-from prt.scene.lightmap_points import AtlasGBuffer, MeasurePoints, Sites
+from prt.scene.atlas import interpolate
+from prt.scene.capture import camera_rays, facing, rows_of
+from prt.scene.frames import perpendicular
+from prt.scene.lightmap_points import AtlasGBuffer, MeasurePoints, Sites, map_view, texel_centres
 from prt.scene.mitsuba_setup import mitsuba
+from prt.scene.strands import Strands
 from prt.scene.view import View
 
 #: texels side by side that one strand has (Belcour 2022, section 6.3)
@@ -32,144 +32,7 @@ PER_TEXEL = 8
 #: how far the measurement points lie outside the hull of the strands' centre lines, in strand radii: 1 is
 #: where the outermost hair ends, the rest keeps it from shadowing them
 HULL_OFFSET = 1.5
-#: pieces that each segment is cut into to measure arc length, and strands measured at a time (memory)
-PIECES, CHUNK = 8, 1 << 14
-#: segments in one Mitsuba shape at most: it takes the tangent from the place along all of its strands, one
-#: float, which has no digits left for the place along a segment where there are millions
-SHAPE_SEGMENTS = 1 << 17
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
-
-
-@dataclasses.dataclass(eq=False)
-class Strands:
-    """N strands of equal radius, each a curve with C control points.
-
-    Attributes:
-        control: control points, world units. A ``bsplinecurve`` is a uniform cubic B-spline of C - 3 segments
-            (it does not reach its end control points), a ``linearcurve`` a polyline of C - 1.
-        radius: of every strand, world units.
-        curve: name of the Mitsuba shape.
-    """
-
-    control: Float[Tensor, "N C 3"]
-    radius: float
-    curve: Literal["bsplinecurve", "linearcurve"] = "bsplinecurve"
-
-    def __len__(self) -> int:
-        return len(self.control)
-
-    @property
-    def segments(self) -> int:
-        """Of each strand."""
-        return self.control.shape[1] - (3 if self.curve == "bsplinecurve" else 1)
-
-    def at(
-        self, strand: Int[Tensor, "M"], segment: Int[Tensor, "M"], t: Float[Tensor, "M"]
-    ) -> Float[Tensor, "M 3"]:
-        """Points of the centre lines, world units; ``t`` in [0, 1] runs along the segment."""
-        if self.curve == "bsplinecurve":
-            s = 1 - t
-            weights = s**3, 3 * t**3 - 6 * t**2 + 4, 3 * s**3 - 6 * s**2 + 4, t**3
-            return self._blend(strand, segment, weights) / 6
-        return self._blend(strand, segment, (1 - t, t))
-
-    def tangent(
-        self, strand: Int[Tensor, "M"], segment: Int[Tensor, "M"], t: Float[Tensor, "M"]
-    ) -> Float[Tensor, "M 3"]:
-        """Unit tangents of the centre lines, from root to tip."""
-        if self.curve == "bsplinecurve":
-            s = 1 - t
-            weights = -(s**2), 3 * t**2 - 4 * t, 4 * s - 3 * s**2, t**2
-        else:
-            weights = -torch.ones_like(t), torch.ones_like(t)
-        return torch.nn.functional.normalize(self._blend(strand, segment, weights), dim=1)
-
-    def _blend(self, strand: Tensor, segment: Tensor, weights: tuple[Tensor, ...]) -> Float[Tensor, "M 3"]:
-        parts = [weight[:, None] * self.control[strand, segment + k] for k, weight in enumerate(weights)]
-        return torch.stack(parts).sum(0)
-
-    @functools.cached_property
-    def arc(self) -> Float[Tensor, "N K"]:
-        """Share of the strand's arc length from the root to the ends of K - 1 = segments * PIECES pieces."""
-        steps = torch.arange(self.segments * PIECES + 1)
-        segment = (steps // PIECES).clamp(max=self.segments - 1)
-        t = steps / PIECES - segment
-        rows = []
-        for strand in torch.arange(len(self)).split(CHUNK):
-            index = strand.repeat_interleave(len(steps))
-            points = self.at(index, segment.repeat(len(strand)), t.repeat(len(strand)))
-            lengths = points.view(len(strand), -1, 3).diff(dim=1).norm(dim=2)
-            total = torch.nn.functional.pad(lengths.double().cumsum(1), (1, 0))
-            rows.append((total / total[:, -1:].clamp_min(1e-30)).float())
-        return torch.cat(rows)
-
-    def share(
-        self, strand: Int[Tensor, "M"], segment: Int[Tensor, "M"], t: Float[Tensor, "M"]
-    ) -> Float[Tensor, "M"]:
-        """Arc length from the root to a place, as a share of the strand's: 0 at the root, 1 at the tip."""
-        place = (segment + t.clamp(0, 1)) * PIECES
-        piece = place.long().clamp(max=self.segments * PIECES - 1)
-        low, high = self.arc[strand, piece], self.arc[strand, piece + 1]
-        return low + (place - piece) * (high - low)
-
-    def locate(
-        self, strand: Int[Tensor, "M"], share: Float[Tensor, "M L"]
-    ) -> tuple[Int[Tensor, "M L"], Float[Tensor, "M L"]]:
-        """The inverse of :meth:`share`: segment and ``t`` of L places on each of M strands."""
-        table = self.arc[strand]
-        piece = torch.searchsorted(table, share.contiguous(), right=True) - 1
-        piece = piece.clamp(0, self.segments * PIECES - 1)
-        low, high = table.gather(1, piece), table.gather(1, piece + 1)
-        place = piece + ((share - low) / (high - low).clamp_min(1e-30)).clamp(0, 1)
-        segment = (place / PIECES).long().clamp(max=self.segments - 1)
-        return segment, place / PIECES - segment
-
-    def enclosing(self) -> Float[Tensor, "N E 3"]:
-        """Points near the centre lines whose convex hull holds them: control points in Bezier form.
-
-        Those of the B-spline would do too, but stand off further; samples of the curve would cut its bends.
-        """
-        if self.curve == "linearcurve":
-            return self.control
-        a, b, c = self.control[:, :-2], self.control[:, 1:-1], self.control[:, 2:]
-        joints = (a + 4 * b + c) / 6
-        inner = self.control[:, 1:-2], self.control[:, 2:-1]
-        return torch.cat([joints, (2 * inner[0] + inner[1]) / 3, (inner[0] + 2 * inner[1]) / 3], dim=1)
-
-    def shapes(self, bsdf: dict[str, Any]) -> list[Any]:
-        """All strands as ``mi.Shape`` objects with this BSDF: ``strands_per_shape`` in each but the last.
-
-        Raises:
-            PrtError: if the files through which Mitsuba takes curves cannot be written.
-        """
-        material = mitsuba().load_dict(bsdf)
-        return [self._shape(part, material) for part in self.control.split(self.strands_per_shape)]
-
-    @property
-    def strands_per_shape(self) -> int:
-        """Strands in one ``mi.Shape``."""
-        return max(1, SHAPE_SEGMENTS // self.segments)
-
-    def _shape(self, control: Float[Tensor, "P C 3"], material: Any) -> Any:
-        lines = f"%.9g %.9g %.9g {self.radius:.9g}\n" * control.shape[1] + "\n"
-        try:
-            # Mitsuba reads curves from a text file only; it copies them, so the file need not outlive this
-            with tempfile.TemporaryDirectory() as folder:
-                path = Path(folder) / "strands.txt"
-                with open(path, "w") as file:
-                    file.writelines(lines % tuple(row) for row in control.flatten(1).tolist())
-                    if self.curve == "bsplinecurve":
-                        # At the very tip of its last strand Mitsuba 3.9 looks for a segment after that and
-                        # reads memory that is not its own (BSplineCurve::partials). So there is one: thinner
-                        # and inside of the last segment, where no ray meets it.
-                        thin = f"%.9g %.9g %.9g {1e-3 * self.radius:.9g}\n" * 4
-                        file.write(thin % tuple(control[-1, -4:].flatten().tolist()))
-                return mitsuba().load_dict({"type": self.curve, "filename": str(path), "bsdf": material})
-        except OSError as error:
-            raise PrtError(
-                f"cannot write {len(control)} strands to {tempfile.gettempdir()}: {error.strerror or error}; "
-                "free the disk or set TMPDIR to another folder"
-            ) from error
 
 
 class HairAsset:
@@ -283,11 +146,7 @@ class HairAsset:
         middle = torch.full((len(texel), 1), 0.5)
         turn = (texel.double() * GOLDEN % 1.0 * (2 * math.pi)).float()
         position, normal = self._surface(texel, middle, turn[:, None])
-        height, width = self.size
-        uv = torch.stack([(texel % width + 0.5) / width, (texel // width + 0.5) / height], 1)
-        x, y, z = self.centre
-        # a lightmap has no camera: its view only names an image's size
-        view = View((x, y, z), (x, y, z + 1.0), width=width, height=height)
+        uv, view = texel_centres(texel, self.size), map_view(self.centre, self.size)
         return _gbuffer(position, normal, normal, normal, uv, self.covered, view)
 
     def _surface(
@@ -304,7 +163,7 @@ class HairAsset:
         segment, t = self.strands.locate(strand, share / TEXELS_PER_STRAND)
         place = strand.repeat_interleave(along.shape[1]), segment.flatten(), t.flatten()
         tangent = self.strands.tangent(*place)
-        first, second = _perpendicular(tangent)
+        first, second = perpendicular(tangent)
         angle = turn.flatten()[:, None]
         normal = torch.nn.functional.normalize(angle.cos() * first + angle.sin() * second, dim=1)
         return self.strands.at(*place) + self.strands.radius * normal, normal
@@ -345,9 +204,7 @@ class HairAsset:
         corners, flat = self.hull
         corner_normals = flat[:, None].expand(-1, 3, -1).contiguous()
         triangle, weights, group = scatter_points(corners, corner_normals, count, supersample, seed)
-        b, c = weights[:, :1], weights[:, 1:]
-        a, normal = corners[triangle], flat[triangle]
-        position = (1 - b - c) * a[:, 0] + b * a[:, 1] + c * a[:, 2]
+        position, normal = interpolate(corners[triangle], weights), flat[triangle]
         # outside of a plane of the hull is outside of the hull, whichever hair it is
         position = position + HULL_OFFSET * self.strands.radius * normal
         return MeasurePoints(position, normal, torch.ones_like(position), group)
@@ -382,13 +239,10 @@ class HairAsset:
             raise PrtError(
                 f"a view of scene {self.scene.name!r} from {view.origin} sees nothing; check scene.cameras"
             )
-        position, normal = _rows(si.p, len(hit))[hit], _rows(si.n, len(hit))[hit]
+        position, normal = rows_of(si.p, len(hit))[hit], rows_of(si.n, len(hit))[hit]
         segment = self._segment(np.array(prim), np.array(owner))[hit]
         t = torch.from_numpy(np.array(along))[hit].float()
-        wo = torch.nn.functional.normalize(torch.tensor(view.origin, dtype=torch.float32) - position, dim=1)
-        normal = _towards_viewer(normal, normal, wo)
-        cosine = (normal * wo).sum(1, keepdim=True)
-        wr = torch.nn.functional.normalize(2 * cosine * normal - wo, dim=1)
+        normal, wo, wr = facing(view, position, normal, normal)
         return _gbuffer(position, normal, wo, wr, self.uv(segment, t), hit, view)
 
     def _segment(self, primitive: np.ndarray, owner: np.ndarray) -> Int[Tensor, "N"]:
@@ -414,18 +268,6 @@ class HairAsset:
         texel = (TEXELS_PER_STRAND * share).clamp(0.5, TEXELS_PER_STRAND - 0.5)
         column = TEXELS_PER_STRAND * (strand % self.strands_per_row) + texel
         return torch.stack([column / width, (strand // self.strands_per_row + 0.5) / height], 1)
-
-
-def _perpendicular(axis: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"]]:
-    """Two unit vectors that complete each unit axis to a frame (Duff et al. 2017)."""
-    x, y, z = axis.unbind(1)
-    sign = torch.where(z < 0, -1.0, 1.0)
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    return (
-        torch.stack([1.0 + sign * x * x * a, sign * b, -sign * x], 1),
-        torch.stack([b, sign + y * y * a, -y], 1),
-    )
 
 
 def _gbuffer(

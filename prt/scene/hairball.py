@@ -10,9 +10,10 @@ import torch
 from jaxtyping import Float
 
 from prt.errors import PrtError
-from prt.scene.hair_asset import HairAsset, Strands
+from prt.scene.hair_asset import HairAsset
 from prt.scene.scene import Scene, Trajectory
 from prt.scene.shapes import diffuse, rgb, unit_setting
+from prt.scene.strands import Strands
 
 #: the number of strands that ``radius`` is meant for
 REFERENCE_STRANDS = 3000

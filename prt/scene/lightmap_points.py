@@ -1,11 +1,30 @@
 """What a lightmap asks of an asset: where its texels lie, where light is measured, what a pixel shows."""
 
 import dataclasses
+from collections.abc import Sequence
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from prt.scene.gbuffer import GBuffer
+from prt.scene.view import View
+
+#: distance from the surface at which rays start, in radii of the asset
+OFFSET = 1e-4
+
+
+def texel_centres(texel: Int[Tensor, "N"], size: tuple[int, int]) -> Float[Tensor, "N 2"]:
+    """Places in an H x W lightmap of the middles of texels, given by their flat index."""
+    height, width = size
+    return torch.stack([(texel % width + 0.5) / width, (texel // width + 0.5) / height], 1)
+
+
+def map_view(centre: Sequence[float], size: tuple[int, int]) -> View:
+    """The view of a lightmap that is looked at as an image: it has no camera, only a size."""
+    x, y, z = centre
+    height, width = size
+    return View((x, y, z), (x, y, z + 1.0), width=width, height=height)
 
 
 @dataclasses.dataclass

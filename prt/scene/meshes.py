@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from prt.errors import PrtError
@@ -125,3 +125,42 @@ def one_mesh(meshes: list[Any]) -> tuple[TriangleMesh, Float[Tensor, "F 3 2"] | 
     if not positions:
         raise PrtError("the asset has no surface: its scene has no shapes")
     return TriangleMesh(*(torch.cat(parts) for parts in (positions, normals, faces, shapes))), uv
+
+
+def welded(mesh: TriangleMesh) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "F 3"]]:
+    """Vertices and faces with vertices at one place made one: they are doubled for normals and textures.
+
+    One place is a millionth of the mesh's extent.
+    """
+    position = mesh.position.numpy().astype(np.float32)
+    grid = np.round(position / max(float(np.ptp(position, axis=0).max()), 1e-12) * 1e6).astype(np.int64)
+    _, first, same = np.unique(grid, axis=0, return_index=True, return_inverse=True)
+    return position[first], same.ravel()[mesh.face.numpy()]
+
+
+def sheets(mesh: TriangleMesh) -> Int[Tensor, "F"]:
+    """Numbers of the connected pieces of each shape whose triangles are all wound the same way round."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    face, count = welded(mesh)[1], len(mesh.face)
+    start, end = face.ravel().astype(np.int64), np.roll(face, -1, axis=1).ravel().astype(np.int64)
+    owner = np.repeat(np.arange(count), 3)
+    shape = mesh.shape.numpy().astype(np.int64)[owner]
+    # neighbours that are wound alike run along their common edge in opposite directions
+    most = len(mesh.position)
+    ahead, back = (shape * most + start) * most + end, (shape * most + end) * most + start
+    order = np.argsort(ahead, kind="stable")
+    place = np.searchsorted(ahead[order], back).clip(max=len(order) - 1)
+    met = ahead[order][place] == back
+    links = (owner[met], owner[order][place][met])
+    graph = coo_array((np.ones(len(links[0]), dtype=np.int8), links), shape=(count, count))
+    return torch.from_numpy(connected_components(graph, directed=False)[1].astype(np.int64))
+
+
+def flat_normals(mesh: TriangleMesh) -> Float[Tensor, "F 3"]:
+    """Unit normals of the triangles, on the side of the vertex normals."""
+    a, b, c = (mesh.position[mesh.face[:, k]] for k in range(3))
+    flat = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1)
+    side = (flat * mesh.normal[mesh.face].sum(1)).sum(1, keepdim=True)
+    return torch.where(side < 0, -flat, flat)

@@ -15,15 +15,12 @@ from prt.cache import cached
 from prt.errors import PrtError
 from prt.light.local import LightRig
 from prt.light.scenario import Scenario
-from prt.metrics.image import PSNR_CAP
-from prt.metrics.registry import evaluate
 from prt.progress import track
 from prt.scene.lightmap_points import AtlasGBuffer
 from prt.scene.scene import Scene
 from prt.scene.view import View
-from prt.tasks.test_item import TestItem
+from prt.tasks.test_item import TestItem, floor_of
 from prt.trace.denoise import denoise
-from prt.trace.reference import noise_floor
 from prt.trace.rig import LitAsset
 
 #: raise when the content of a cache changes for equal settings
@@ -283,8 +280,3 @@ class LocalLights:
             wrong = float((image - whole).double().square().mean().sqrt())
             found["rmse/over_bound"] = wrong / found["rmse/bound"] if found["rmse/bound"] > 0 else math.nan
         return found
-
-
-def floor_of(a: Tensor, b: Tensor) -> float:
-    """PSNR of the mean of two halves against the truth, capped as PSNR itself."""
-    return min(noise_floor(a, b, lambda x, y: evaluate(x, y, ["psnr"])["psnr"]), PSNR_CAP)

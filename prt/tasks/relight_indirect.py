@@ -13,7 +13,6 @@ from torch import Tensor
 from prt.cache import cached
 from prt.errors import PrtError
 from prt.metrics.image import PSNR_CAP
-from prt.metrics.registry import evaluate
 from prt.metrics.tonemap import exposure_of, to_srgb
 from prt.progress import track
 from prt.scene.capture import capture
@@ -21,10 +20,10 @@ from prt.scene.gbuffer import GBuffer
 from prt.scene.scene import Scene
 from prt.scene.view import View
 from prt.tasks import importance
-from prt.tasks.test_item import TestItem
+from prt.tasks.test_item import TestItem, floor_of
 from prt.trace.denoise import denoise
 from prt.trace.record import record
-from prt.trace.reference import noise_floor, render
+from prt.trace.reference import render
 from prt.trace.transport import Transport
 
 #: raise when the content of a cache changes for equal settings
@@ -242,11 +241,7 @@ class RelightIndirect:
         references = {
             name: (found[f"{name}.0"] + found[f"{name}.1"]) / 2 for name in ("full", "indirect", "direct")
         }
-        # capped as PSNR itself: two black halves are equal, and infinity has no mean
-        floor = {
-            name: min(noise_floor(found[f"{name}.0"], found[f"{name}.1"], psnr), PSNR_CAP)
-            for name in references
-        }
+        floor = {name: floor_of(found[f"{name}.0"], found[f"{name}.1"]) for name in references}
         return TestItem(
             split, view_name, lighting_name, lighting, gbuffer, references, floor, found["direct.other"]
         )
@@ -297,8 +292,3 @@ class RelightIndirect:
 def product_psnr(first: np.ndarray, second: np.ndarray) -> float:
     """PSNR in dB of an error of which there are two estimates with independent noise."""
     return float(min(-10 * np.log10(max(float(np.mean(first * second)), 1e-12)), PSNR_CAP))
-
-
-def psnr(image: Tensor, reference: Tensor) -> float:
-    """PSNR in dB as every table here has it: sRGB after the reference's exposure."""
-    return evaluate(image, reference, ["psnr"])["psnr"]

@@ -6,7 +6,10 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
+from prt.metrics.image import PSNR_CAP
+from prt.metrics.registry import evaluate
 from prt.scene.gbuffer import GBuffer
+from prt.trace.reference import noise_floor
 
 
 @dataclasses.dataclass
@@ -29,3 +32,16 @@ class TestItem:
     references: dict[str, Tensor]
     noise_floor: dict[str, float]
     direct: Float[Tensor, "H W 3"]
+
+
+def psnr(image: Tensor, reference: Tensor) -> float:
+    """PSNR in dB as every table here has it: sRGB after the reference's exposure."""
+    return evaluate(image, reference, ["psnr"])["psnr"]
+
+
+def floor_of(a: Float[Tensor, "H W 3"], b: Float[Tensor, "H W 3"]) -> float:
+    """PSNR in dB of the mean of two independent halves against the truth.
+
+    Capped as PSNR itself: two black halves are equal, and infinity has no mean.
+    """
+    return min(noise_floor(a, b, psnr), PSNR_CAP)

@@ -170,9 +170,8 @@ def emitter_class() -> type:
     Property ``resolution``; it is black until :meth:`set_radiance`. Give it the scene's size by
     :meth:`set_bounds` (Mitsuba does not hand ``set_scene`` on to Python).
     """
+    mi = mitsuba()  # before drjit, which takes the LLVM it finds
     import drjit as dr
-
-    mi = mitsuba()
 
     class CubemapEmitter(mi.Emitter):
         def __init__(self, props):

@@ -14,8 +14,8 @@ from torch import Tensor
 from prt.errors import PrtError
 from prt.light.cubemap import texel_directions, texel_solid_angles
 from prt.light.local import LightRig
-from prt.scene.lightmap_points import MeasurePoints
-from prt.trace.rig import OFFSET, LitAsset
+from prt.scene.lightmap_points import OFFSET, MeasurePoints
+from prt.trace.rig import LitAsset
 
 #: texels a side of the cubemap that visibility is kept for; finer environments are averaged down to it
 SKY = 16

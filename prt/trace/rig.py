@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from prt.light.local import LightRig
-from prt.scene.lightmap_points import Sites
+from prt.scene.lightmap_points import OFFSET, Sites
 from prt.scene.mitsuba_setup import mitsuba
 from prt.scene.view import View
 from prt.trace.cubemap_emitter import checked, emitter_class
@@ -17,8 +17,6 @@ from prt.trace.rig_emitter import rig_emitter_class
 
 #: Rays traced at a time: bounds the memory.
 WAVEFRONT = 1 << 22
-#: distance from the surface at which rays start, in radii of the asset
-OFFSET = 1e-4
 #: the additive recurrence of the plastic number: evenly spread pairs
 R2 = (0.7548776662466927, 0.5698402909980532)
 #: and that of the golden ratio, evenly spread numbers

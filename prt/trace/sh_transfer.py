@@ -14,14 +14,13 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from prt.light.sh import sh_basis
-from prt.scene.lightmap_points import TriangleMesh
+from prt.scene.frames import perpendicular
+from prt.scene.lightmap_points import OFFSET, TriangleMesh
 from prt.scene.mitsuba_setup import mitsuba
 from prt.scene.shapes import MeshData, diffuse, to_mesh
 
 #: rays traced at a time; bounds the memory
 RAYS = 1 << 18
-#: distance from the surface at which rays start, in radii of the asset
-OFFSET = 1e-4
 #: by which share of the way to the middle of its triangles a vertex draws back
 DRAW_BACK = 0.01
 
@@ -100,13 +99,7 @@ def cosine_directions(
     radical = (((index[:, None] >> digit) & 1) * 0.5 ** (digit + 1)).sum(1)
     u = (torch.stack([(index + 0.5) / count, radical], dim=1) + shift) % 1
     radius, angle = u[..., :1].sqrt(), 2 * math.pi * u[..., 1:]
-    x, y, z = normal.unbind(1)
-    # Duff et al. 2017, "Building an Orthonormal Basis, Revisited"
-    sign = torch.where(z < 0, -1.0, 1.0)
-    a = -1 / (sign + z)
-    b = x * y * a
-    tangent = torch.stack([1 + sign * x * x * a, sign * b, -sign * x], dim=1)
-    other = torch.stack([b, sign + y * y * a, -y], dim=1)
+    tangent, other = perpendicular(normal)
     height = (1 - u[..., :1]).clamp_min(0).sqrt()
     along = radius * angle.cos() * tangent[:, None] + radius * angle.sin() * other[:, None]
     return along + height * normal[:, None]

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from mitsuba_lights import mitsuba_light
 
 from prt.errors import PrtError
 from prt.light.local import LightRig, LocalLight
@@ -20,21 +21,6 @@ LIGHTS = {
 }
 
 
-def emitter(light: LocalLight) -> dict:
-    """The same light as a Mitsuba emitter."""
-    mi = mitsuba()
-    color = {"type": "rgb", "value": list(light.color)}
-    if light.kind == "point":
-        return {"type": "point", "position": list(light.position), "intensity": color}
-    if light.kind == "directional":
-        return {"type": "directional", "direction": list(light.direction), "irradiance": color}
-    end = [p + d for p, d in zip(light.position, light.direction, strict=True)]
-    up = [0.0, 1.0, 0.0] if abs(light.direction[1]) < 0.9 else [1.0, 0.0, 0.0]
-    to_world = mi.ScalarTransform4f().look_at(list(light.position), end, up)
-    return {"type": "spot", "to_world": to_world, "intensity": color, "cutoff_angle": light.cutoff,
-            "beam_width": light.beam}  # fmt: skip
-
-
 @pytest.mark.parametrize("name", LIGHTS)
 def test_incident_is_what_mitsubas_emitter_sends(name):
     mi, light = mitsuba(), LIGHTS[name]
@@ -44,7 +30,7 @@ def test_incident_is_what_mitsubas_emitter_sends(name):
     point = 4 * torch.rand((4000, 3), generator=generator) - 2
     it = dr.zeros(mi.SurfaceInteraction3f, len(point))
     it.p = mi.Point3f(np.ascontiguousarray(point.numpy().T))
-    scene = mi.load_dict({"type": "scene", "shape": {"type": "sphere"}, "light": emitter(light)})
+    scene = mi.load_dict({"type": "scene", "shape": {"type": "sphere"}, "light": mitsuba_light(light)})
     ds, value = scene.emitters()[0].sample_direction(it, mi.Point2f(0.5, 0.5))
     wanted = torch.from_numpy(np.array(mi.Color3f(value)).T.copy())
     wanted = wanted.expand(len(point), 3)

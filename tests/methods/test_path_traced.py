@@ -5,33 +5,12 @@ import types
 
 import pytest
 import torch
+from kept_log import Log
 
 from prt.errors import PrtError
 from prt.methods import path_traced
 from prt.methods.path_traced import PathTraced, affordable_samples
 from prt.scene.view import View
-
-
-class Log:
-    """Keeps what a fit reports."""
-
-    def __init__(self, kept=None):
-        self.kept, self.values = kept, {}
-
-    def start(self, steps, label):
-        pass
-
-    def step(self, step, **values):
-        self.values = values
-
-    def checkpoint_due(self, step):
-        return True
-
-    def save(self, step, state):
-        self.kept = (step, state)
-
-    def resume(self):
-        return self.kept
 
 
 @pytest.mark.parametrize("seconds, expected", [(0.5, 1), (10.0, 4), (12.0, 5), (100.0, 49)])

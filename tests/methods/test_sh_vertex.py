@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from hydra.utils import instantiate
+from kept_log import Log
 
 from prt.bench.compose import compose
 from prt.errors import PrtError
@@ -19,28 +20,6 @@ from prt.methods.sh_vertex import ShVertex
 from prt.scene.gbuffer import GBuffer
 from prt.scene.lightmap_points import AtlasGBuffer, TriangleMesh
 from prt.scene.shapes import MeshData, sphere_mesh, torus_mesh
-
-
-class Log:
-    """Keeps what a fit reports."""
-
-    def __init__(self, kept=None):
-        self.kept, self.values = kept, {}
-
-    def start(self, steps, label):
-        pass
-
-    def step(self, step, **values):
-        self.values = values
-
-    def checkpoint_due(self, step):
-        return True
-
-    def save(self, step, state):
-        self.kept = (step, state)
-
-    def resume(self):
-        return self.kept
 
 
 def task_of(data: MeshData, albedo=(0.5, 0.5, 0.5), **more):

@@ -10,9 +10,9 @@ from prt.bench.compose import compose
 from prt.bench.run import build_task
 from prt.errors import PrtError
 from prt.light.local import LightRig
-from prt.methods.benchmark_svd import Silent, capacity, eigenvalues, fitted, storage
+from prt.methods.benchmark_svd import Silent, Storage, capacity, eigenvalues, fitted, storage
 from prt.methods.stability_svd import flicker, judged, measure_failures
-from prt.methods.svd_transfer import Storage, SvdTransfer
+from prt.methods.svd_transfer import SvdTransfer
 
 COMMON = ["task=local_lights", "lighting=spots_inside", "method=svd_transfer", "budget=smoke"]
 SETTINGS = dict(

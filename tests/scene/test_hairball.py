@@ -11,12 +11,13 @@ from omegaconf import OmegaConf
 
 from prt.bench.compose import compose
 from prt.errors import PrtError
-from prt.scene import hair_asset
+from prt.scene import strands as strands_module
 from prt.scene.cameras import circular_sweep
 from prt.scene.capture import sensor_description
-from prt.scene.hair_asset import HULL_OFFSET, TEXELS_PER_STRAND, HairAsset, Strands
+from prt.scene.hair_asset import HULL_OFFSET, TEXELS_PER_STRAND, HairAsset
 from prt.scene.hairball import THICKEST, Hairball, absorption
 from prt.scene.mitsuba_setup import mitsuba
+from prt.scene.strands import Strands
 
 CONF = Path(__file__).parents[2] / "conf" / "scene" / "hairball.yaml"
 COUNT = 200
@@ -218,7 +219,7 @@ def test_hair_in_several_shapes_is_the_same(monkeypatch):
     whole = hairball().asset()
     view = whole.scene.views("far", 3, 96)[0]
     expected = whole.capture(whole.load({}), view)
-    monkeypatch.setattr(hair_asset, "SHAPE_SEGMENTS", 16 * 37)
+    monkeypatch.setattr(strands_module, "SHAPE_SEGMENTS", 16 * 37)
     split = hairball().asset()
     assert len(split.scene.hair()) == 6
     found = split.capture(split.load({}), view)
@@ -468,7 +469,7 @@ def test_config_builds_and_its_cameras_see_the_ball():
 
 def test_files_that_cannot_be_written_are_one_line(monkeypatch, tmp_path):
     monkeypatch.setattr(
-        hair_asset.tempfile, "TemporaryDirectory", lambda: (_ for _ in ()).throw(OSError(28, "No space"))
+        strands_module.tempfile, "TemporaryDirectory", lambda: (_ for _ in ()).throw(OSError(28, "No space"))
     )
     with pytest.raises(PrtError, match="cannot write 200 strands"):
         hairball().hair()

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from mitsuba_lights import mitsuba_light
 
 from prt.light.local import LightRig, LocalLight
 from prt.scene.cornell_box import CornellBox
@@ -21,22 +22,6 @@ LIGHTS = [
                cutoff=50.0, beam=30.0),
     LocalLight("directional", (1.0, 1.5, 2.0), direction=(-0.36, -0.8, -0.48)),
 ]  # fmt: skip
-
-
-def mitsuba_light(light):
-    """The same light as Mitsuba's own emitter."""
-    mi = mitsuba()
-    color = {"type": "rgb", "value": list(light.color)}
-    if light.kind == "point":
-        return {"type": "point", "position": list(light.position), "intensity": color}
-    if light.kind == "directional":
-        return {"type": "directional", "direction": list(light.direction), "irradiance": color}
-    target = [p + d for p, d in zip(light.position, light.direction, strict=True)]
-    look = mi.ScalarTransform4f().look_at(origin=list(light.position), target=target, up=[0, 0, 1])
-    return {
-        "type": "spot", "to_world": look, "intensity": color, "cutoff_angle": light.cutoff,
-        "beam_width": light.beam,
-    }  # fmt: skip
 
 
 def shape(kind, **more):
@@ -207,7 +192,7 @@ def test_skies_are_averaged_without_losing_energy(resolution):
 
 def test_a_medium_sends_light_through():
     content = {
-        "ball": {"type": "ply"} if False else {
+        "ball": {
             "type": "cube", "bsdf": {"type": "null"},
             "interior": {"type": "homogeneous", "sigma_t": 4.0, "albedo": 0.9},
         }

@@ -4,6 +4,7 @@ import gc
 
 import pytest
 import torch
+from mitsuba_lights import mitsuba_light
 from trace_scenes import disagreement
 
 from prt.light.local import LightRig, LocalLight
@@ -20,20 +21,6 @@ LIGHTS = {
     "spot": LocalLight("spot", (5.0, 5.0, 4.0), (-0.7, 1.7, 0.8), AXIS, cutoff=40.0, beam=20.0),
     "directional": LocalLight("directional", (1.0, 1.5, 2.0), direction=AXIS),
 }
-
-
-def own(light):
-    """The same light as Mitsuba's own emitter."""
-    mi = mitsuba()
-    color = {"type": "rgb", "value": list(light.color)}
-    if light.kind == "point":
-        return {"type": "point", "position": list(light.position), "intensity": color}
-    if light.kind == "directional":
-        return {"type": "directional", "direction": list(light.direction), "irradiance": color}
-    target = [p + d for p, d in zip(light.position, light.direction, strict=True)]
-    look = mi.ScalarTransform4f().look_at(origin=list(light.position), target=target, up=[0, 0, 1])
-    return {"type": "spot", "to_world": look, "intensity": color, "cutoff_angle": light.cutoff,
-            "beam_width": light.beam}  # fmt: skip
 
 
 def asset(medium: bool = False):
@@ -58,7 +45,7 @@ def asset(medium: bool = False):
 def test_one_light_is_mitsubas_to_the_last_sample(kind, medium):
     lit = LitAsset(asset(medium))
     found = lit.render(LightRig((LIGHTS[kind],)), VIEW, 16, 1)
-    scene = lit.asset.load({"light": own(LIGHTS[kind])})
+    scene = lit.asset.load({"light": mitsuba_light(LIGHTS[kind])})
     integrators = {"direct": lit.integrators["full"], **lit.integrators}
     truth = render_components(scene, integrators, VIEW, 16, 1)
     for part in ("full",) if medium else ("direct", "indirect"):
