@@ -152,6 +152,7 @@ def test_keyframes_share_a_basis_and_may_have_their_own_transfer(tmp_path, monke
     one, own = fitted(task, SETTINGS), fitted(task, SETTINGS, keyframes="separate")
     assert one.transfer.shape[0] == 1 and own.transfer.shape[0] == 2
     assert torch.equal(one.basis, own.basis)
+    assert not torch.allclose(own.transfer[0], own.transfer[1])
     item = task.tests()[0]
     other = dataclasses.replace(item.lighting, pose=1 - item.lighting.pose)
     assert not torch.equal(own.light(item.lighting), own.light(other))
@@ -213,6 +214,7 @@ def test_failures_are_measured(task):
     assert value["duplicates=0.5,lambda=1", "condition/direct"] < 1000
     assert value["configurations=1", "error/relative"] > value["configurations=24", "error/relative"]
     same = value["lights=same", "error/relative"]
+    assert value["configurations=24", "error/relative"] == same  # all of them, with as many elements
     assert value["brighter=100", "error/relative"] == pytest.approx(same, rel=1e-3)
     assert value["lights=none", "error/black"] == 0
     assert value["lights=same", "error/bound"] <= same

@@ -115,5 +115,8 @@ def test_the_task_brings_its_lighting_and_method():
     assert (cfg.choice.lighting, cfg.choice.method) == ("spots", "svd_transfer")
     cfg = compose(["lighting=points", "task=local_lights", "scene=cornell_box", "method=sh_vertex"])
     assert (cfg.choice.lighting, cfg.choice.method) == ("points", "sh_vertex")
+    # a sweep's values are not joined by the task's own choice
+    given = ["task=local_lights", "lighting=points,spots"]
+    assert composer.with_companions(given) == ["method=svd_transfer", *given]
     assert composer.with_companions(["scene=kitchen"]) == ["scene=kitchen"]
     assert "_with_" not in cfg.task

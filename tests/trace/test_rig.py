@@ -75,10 +75,11 @@ def test_lights_change_in_place(corner):
     assert float(lit.render(LightRig(), CAMERA, 16, 1)["full"].max()) == 0
 
 
-def test_a_lightmap_is_what_cameras_see():
-    """Diffuse surfaces: lightmap times albedo is the indirect radiance of any view."""
+@pytest.mark.parametrize("max_depth", [2, 3, None])
+def test_a_lightmap_is_what_cameras_see(max_depth):
+    """Diffuse surfaces: lightmap times albedo is the indirect radiance of any view, bounce by bounce."""
     asset = _cornell().asset(48)
-    lit, rig = LitAsset(asset), LightRig((LIGHTS[0],))
+    lit, rig = LitAsset(asset, max_depth=max_depth), LightRig((LIGHTS[0],))
     values = lit.lightmap(rig, asset.sites(), 256, 3)
     view = asset.scene.views("far", 1, 24)[0]
     gbuffer = asset.capture(lit.dark, view)
