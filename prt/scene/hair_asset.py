@@ -46,7 +46,7 @@ class HairAsset:
         texels: as for other assets; the number of strands decides the size of the lightmap, not this.
     """
 
-    #: the texel beside the last of a strand is another strand's: a denoiser must not look at it
+    #: the texel beside the last of a strand is another strand's: a denoiser of images must not look at it
     filterable: bool = False
     poses: int = 1
     stores: Literal["incident", "outgoing"] = "outgoing"

@@ -20,6 +20,7 @@ from prt.scene.lightmap_points import AtlasGBuffer
 from prt.scene.scene import Scene
 from prt.scene.view import View
 from prt.tasks.test_item import TestItem, floor_of
+from prt.trace import lightmap_filter
 from prt.trace.denoise import denoise
 from prt.trace.rig import LitAsset
 
@@ -65,10 +66,10 @@ class LocalLights:
         spp: paths a texel of a baked lightmap.
         common_random_numbers: trace all lightmaps along the same paths: their noise is then a property of the
             transport and not of each configuration, and takes no basis elements.
-        denoise: filter baked lightmaps (Open Image Denoise's lightmap filter); hair is never filtered, for
-            its neighbouring texels are no neighbours.
+        denoise: filter baked lightmaps (:func:`prt.trace.lightmap_filter.filtered`).
         reference_spp: paths a texel of a test lightmap, both halves together.
-        reference_denoise: filter each half of the references alike (lightmaps; frames with their G-buffer).
+        reference_denoise: filter each half of the references alike (lightmaps but hair's; frames with their
+            G-buffer).
         frames: test configurations of each split that are also judged on a camera frame.
         frame_size, frame_spp: pixels a side; samples a pixel of the reference, both halves together.
         frame_supersample: G-buffer samples along each side of a pixel.
@@ -142,19 +143,23 @@ class LocalLights:
     def _lightmap(self, rig: LightRig, spp: int, seed: int, filtered: bool) -> tuple[Tensor, float]:
         settings = {
             "asset": self._fingerprint, "rig": rig.fingerprint(), "spp": spp, "seed": seed,
-            "denoise": filtered and self.asset.filterable, "max_depth": self.scene.max_depth,
+            "denoise": self._filter if filtered else False, "max_depth": self.scene.max_depth,
         }  # fmt: skip
 
         def build() -> dict[str, Tensor]:
             started = time.perf_counter()
             values = self.lit(rig.pose).lightmap(rig, self._sites(rig.pose), spp, seed)
             if settings["denoise"]:
-                image = values[self.asset.fill].view(*self.asset.size, 3)
-                values = denoise(image, kind="RTLightmap").view(-1, 3)[self.asset.covered]
+                values = lightmap_filter.filtered(self.asset, values, self._sites(rig.pose))
             return {"values": values, "seconds": torch.tensor(time.perf_counter() - started)}
 
         found = cached("lightmap", LIGHTMAP_VERSION, settings, build)
         return found["values"], float(found["seconds"])
+
+    @property
+    def _filter(self) -> Any:
+        """Names the filter of lightmaps in cache keys."""
+        return True if self.asset.filterable else f"nearest {lightmap_filter.NEIGHBOURS}"
 
     @functools.cached_property
     def _fingerprint(self) -> dict[str, Any]:
@@ -200,7 +205,9 @@ class LocalLights:
         gbuffer = self._texel_gbuffer(rig.pose)
         spp = max(self.reference_spp // (8 if split == "path" else 2), 1)
         seeds = [REFERENCE_SEED + 2 * self.seed + half for half in (0, 1)]
-        halves = [gbuffer.image(self._lightmap(rig, spp, seed, self.reference_denoise)[0]) for seed in seeds]
+        # a mean over neighbouring strands is a method's to make, not the truth's
+        clean = self.reference_denoise and self.asset.filterable
+        halves = [gbuffer.image(self._lightmap(rig, spp, seed, clean)[0]) for seed in seeds]
         return TestItem(
             split, LIGHTMAP, name, rig, gbuffer, {"indirect": (halves[0] + halves[1]) / 2},
             {"indirect": floor_of(*halves)}, torch.zeros_like(halves[0]),
