@@ -8,13 +8,16 @@ from prt.errors import PrtError
 
 
 class Mlp(torch.nn.Module):
-    """``hidden_layers`` hidden layers of ``width`` neurons with ReLU, then a linear output.
+    """``hidden_layers`` hidden layers of ``width`` neurons with (leaky) ReLU, then a linear output.
 
     Kaiming initialisation, biases zero; the output layer is initialised for a linear activation, so that a
     fresh network's outputs have about the variance of its last hidden layer's.
 
+    Args:
+        slope: of the activation below zero; 0 is ReLU.
+
     Attributes:
-        layers: the linear layers from input to output; ``forward`` is them with ReLU in between.
+        layers: the linear layers from input to output; ``forward`` is them with the activation in between.
     """
 
     def __init__(
@@ -25,8 +28,10 @@ class Mlp(torch.nn.Module):
         outputs: int,
         bias: bool = True,
         generator: torch.Generator | None = None,
+        slope: float = 0.0,
     ):
         super().__init__()
+        self.slope = slope
         given = {"inputs": inputs, "width": width, "hidden_layers": hidden_layers, "outputs": outputs}
         for name, value in given.items():
             least = 0 if name == "hidden_layers" else 1
@@ -37,14 +42,15 @@ class Mlp(torch.nn.Module):
             torch.nn.Linear(a, b, bias=bias) for a, b in zip(sizes[:-1], sizes[1:], strict=True)
         )
         for number, layer in enumerate(self.layers):
-            kind = "linear" if number == hidden_layers else "relu"
-            torch.nn.init.kaiming_normal_(layer.weight, nonlinearity=kind, generator=generator)
+            kind = "linear" if number == hidden_layers else "leaky_relu"
+            torch.nn.init.kaiming_normal_(layer.weight, slope, nonlinearity=kind, generator=generator)
             if bias:
                 torch.nn.init.zeros_(layer.bias)
 
     def forward(self, x: Float[Tensor, "*N I"]) -> Float[Tensor, "*N O"]:
         for layer in self.layers[:-1]:
-            x = torch.relu(layer(x))
+            x = layer(x)
+            x = torch.nn.functional.leaky_relu(x, self.slope) if self.slope else torch.relu(x)
         return self.layers[-1](x)
 
     def nbytes(self) -> int:

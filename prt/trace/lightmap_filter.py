@@ -1,4 +1,4 @@
-"""Removing the noise of a lightmap: neighbours in the map where that is an atlas, else neighbours in space."""
+"""Removing the noise of a lightmap: neighbours in the map of an atlas, else neighbours in space."""
 
 from typing import Any
 

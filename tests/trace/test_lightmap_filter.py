@@ -1,4 +1,4 @@
-"""Lightmaps of hair share their paths with the nearest texels in space, not with those beside them in the map."""
+"""Lightmaps of hair share paths with the nearest texels in space, not with those beside them in the map."""
 
 from types import SimpleNamespace
 
