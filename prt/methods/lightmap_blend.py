@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from prt.errors import PrtError
+from prt.scene.texture_lookup import corners
 
 #: blend whole lightmaps up to this many texels per point, and only the points' texels beyond it; one CPU core
 #: takes as long for either at 8 texels per point with 64 elements, 16 with 16, 30 with 4
@@ -101,19 +102,6 @@ class Blender:
     def _weights(self, coefficients: Float[Tensor, "n 3"]) -> Float[Tensor, "C 3/C n"]:
         """For each channel of the basis, the coefficients of the colours it serves."""
         return coefficients.T.reshape(len(self.planes), -1, len(coefficients))
-
-
-def corners(
-    uv: Float[Tensor, "N 2"], height: int, width: int
-) -> tuple[Int[Tensor, "N 4"], Float[Tensor, "N 4"]]:
-    """The four texels around each place: flat index ``row * width + column``, and bilinear weight."""
-    last = torch.tensor([width - 1, height - 1], dtype=uv.dtype, device=uv.device)
-    place = (uv * (last + 1) - 0.5).clamp_min(0).minimum(last)
-    low = place.floor()
-    (x1, y1), (x0, y0) = (place - low).T, (1 - (place - low)).T
-    (left, top), (right, bottom) = low.long().T, (low + 1).minimum(last).long().T
-    index = torch.stack([t * width + s for t in (top, bottom) for s in (left, right)], dim=1)
-    return index, torch.stack([y * x for y in (y0, y1) for x in (x0, x1)], dim=1)
 
 
 def with_channels(basis: Float[Tensor, "n H W"] | Float[Tensor, "n H W C"]) -> Float[Tensor, "n H W C"]:

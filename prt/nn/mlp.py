@@ -50,7 +50,7 @@ class Mlp(torch.nn.Module):
     def forward(self, x: Float[Tensor, "*N I"]) -> Float[Tensor, "*N O"]:
         for layer in self.layers[:-1]:
             x = layer(x)
-            x = torch.nn.functional.leaky_relu(x, self.slope) if self.slope else torch.relu(x)
+            x = torch.nn.functional.leaky_relu(x, self.slope, inplace=True) if self.slope else torch.relu(x)
         return self.layers[-1](x)
 
     def nbytes(self) -> int:

@@ -45,7 +45,7 @@ class TransferNetwork(torch.nn.Module):
             raise PrtError(f"network layers={layers} must be at least 1")
         low, high = torch.tensor(bounds[0]).float(), torch.tensor(bounds[1]).float()
         self.register_buffer("centre", (low + high) / 2)
-        self.register_buffer("half", ((high - low).amax() / 2).clamp_min(1e-12))
+        self.register_buffer("reach", ((high - low).amax() / 2).clamp_min(1e-12))
         self.register_buffer("scale", torch.ones(outputs))
         self.octaves = (position_frequencies, normal_frequencies)
         inputs = sum(3 * (1 + 2 * count) for count in self.octaves)
@@ -53,7 +53,7 @@ class TransferNetwork(torch.nn.Module):
 
     def encode(self, position: Float[Tensor, "N 3"], normal: Float[Tensor, "N 3"]) -> Float[Tensor, "N I"]:
         """The input of the first layer."""
-        place = (position - self.centre) / self.half
+        place = (position - self.centre) / self.reach
         return torch.cat([frequencies(place, self.octaves[0]), frequencies(normal, self.octaves[1])], dim=1)
 
     def forward(self, position: Float[Tensor, "N 3"], normal: Float[Tensor, "N 3"]) -> Float[Tensor, "N K"]:

@@ -72,7 +72,7 @@ def trace_links(
     """
     many = len(mesh.position)
     scene = _scene(mesh)
-    flat, origin = _face_normals(mesh), _origins(mesh)
+    flat, origin = _face_normals(mesh), vertex_origins(mesh)
     shift = torch.rand((many, 1, 2), generator=torch.Generator().manual_seed(seed))
     direct = torch.zeros((many, order**2))
     links = []
@@ -94,15 +94,28 @@ def cosine_directions(
     normal: Float[Tensor, "V 3"], count: int, shift: Float[Tensor, "V 1 2"]
 ) -> Float[Tensor, "V count 3"]:
     """Unit directions of density cosine / pi about each normal: a Hammersley set, moved by ``shift``."""
-    index = torch.arange(count)
-    digit = torch.arange(32)
-    radical = (((index[:, None] >> digit) & 1) * 0.5 ** (digit + 1)).sum(1)
-    u = (torch.stack([(index + 0.5) / count, radical], dim=1) + shift) % 1
+    u = hammersley(count, shift)
     radius, angle = u[..., :1].sqrt(), 2 * math.pi * u[..., 1:]
     tangent, other = perpendicular(normal)
     height = (1 - u[..., :1]).clamp_min(0).sqrt()
     along = radius * angle.cos() * tangent[:, None] + radius * angle.sin() * other[:, None]
     return along + height * normal[:, None]
+
+
+def sphere_directions(count: int, shift: Float[Tensor, "V 1 2"]) -> Float[Tensor, "V count 3"]:
+    """Unit directions evenly over the sphere: a Hammersley set, moved by ``shift``."""
+    u = hammersley(count, shift)
+    height, angle = 1 - 2 * u[..., 0], 2 * math.pi * u[..., 1]
+    radius = (1 - height**2).clamp_min(0).sqrt()
+    return torch.stack([radius * angle.cos(), radius * angle.sin(), height], -1)
+
+
+def hammersley(count: int, shift: Float[Tensor, "V 1 2"]) -> Float[Tensor, "V count 2"]:
+    """``count`` even points of the unit square, moved by each shift and wrapped."""
+    index = torch.arange(count)
+    digit = torch.arange(32)
+    radical = (((index[:, None] >> digit) & 1) * 0.5 ** (digit + 1)).sum(1)
+    return (torch.stack([(index + 0.5) / count, radical], dim=1) + shift) % 1
 
 
 # ---- geometry
@@ -124,7 +137,7 @@ def _face_normals(mesh: TriangleMesh) -> Float[Tensor, "F 3"]:
     return torch.where(inwards, -normal, normal)
 
 
-def _origins(mesh: TriangleMesh) -> Float[Tensor, "V 3"]:
+def vertex_origins(mesh: TriangleMesh) -> Float[Tensor, "V 3"]:
     """Where the rays of the vertices start: above the surface, and off the rims of their triangles.
 
     A vertex in the corner of a room lies on the other walls too, and half its rays would start behind them.

@@ -1,0 +1,159 @@
+"""What transfer is baked on: points spread over a surface, what blocks the light there, what a camera sees."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+from typing_extensions import Self
+
+from prt.errors import PrtError
+from prt.scene.atlas import interpolate
+from prt.scene.gbuffer import GBuffer
+from prt.scene.lightmap_points import AtlasGBuffer
+from prt.scene.meshes import flat_normals
+from prt.scene.mitsuba_setup import mitsuba
+from prt.scene.view import View
+
+
+@dataclasses.dataclass
+class SurfacePoints:
+    """N points of a surface with their outward unit normals, world space."""
+
+    position: Float[Tensor, "N 3"]
+    normal: Float[Tensor, "N 3"]
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def rows(self, index: Tensor | slice) -> Self:
+        """Some of them."""
+        return type(self)(self.position[index], self.normal[index])
+
+
+@runtime_checkable
+class Surface(Protocol):
+    """A surface of any representation; the contract stands in docs/architecture.md."""
+
+    scene: Any
+    #: rays that could not be decided, and the like, by name
+    counts: dict[str, int]
+    #: whether the way from origin along direction is blocked, as Dr.Jit code; None: ask :meth:`occluded`
+    blocked: Callable[[Any, Any], Any] | None
+
+    @property
+    def bounds(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Corners of the box around it, world units."""
+        ...
+
+    @property
+    def extent(self) -> float:
+        """Half the diagonal of that box."""
+        ...
+
+    def sample(self, count: int, seed: int) -> SurfacePoints:
+        """Points spread evenly by area."""
+        ...
+
+    def occluded(self, origin: Float[Tensor, "N 3"], direction: Float[Tensor, "N 3"]) -> Bool[Tensor, "N"]:
+        """Whether anything of the surface lies in that direction."""
+        ...
+
+    def capture(self, view: View) -> GBuffer:
+        """What a camera sees."""
+        ...
+
+    def fingerprint(self) -> dict[str, Any]:
+        """Plain JSON: everything that determines the surface."""
+        ...
+
+
+class MeshSurface:
+    """The triangles of a scene, all of them.
+
+    Args:
+        scene: a static one without a medium.
+        texels: of its atlas, a side, for methods that store transfer in a texture.
+
+    Raises:
+        PrtError: for a scene that moves, or that light passes through.
+    """
+
+    def __init__(self, scene: Any, texels: int):
+        if scene.poses != 1 or scene.medium:
+            raise PrtError(
+                f"scene={scene.name} moves or is translucent; transfer of direct light needs a static, "
+                "opaque scene"
+            )
+        self.scene, self.asset, self.counts = scene, scene.asset(texels), {}
+
+    @property
+    def bounds(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Corners of the box around it, world units."""
+        position = self.asset.mesh().position
+        return tuple(position.amin(0).tolist()), tuple(position.amax(0).tolist())
+
+    @property
+    def extent(self) -> float:
+        """Half the diagonal of that box."""
+        return self.asset.radius
+
+    def fingerprint(self) -> dict[str, Any]:
+        """Geometry and materials; the atlas does not count."""
+        return self.scene.fingerprint()
+
+    def sample(self, count: int, seed: int) -> SurfacePoints:
+        """Points spread evenly by area, uniform within triangles (Turk 1990), with interpolated normals."""
+        return self.at(*self.places(count, seed))
+
+    def places(self, count: int, seed: int) -> tuple[Int[Tensor, "N"], Float[Tensor, "N 2"]]:
+        """Triangles and barycentric weights of ``count`` points, one in each of as many equal areas.
+
+        Raises:
+            PrtError: for a mesh without area.
+        """
+        mesh = self.asset.mesh()
+        a, b, c = (mesh.position[mesh.face[:, k]].double() for k in range(3))
+        area = torch.linalg.cross(b - a, c - a).norm(dim=1).cumsum(0)
+        if len(area) == 0 or not area[-1] > 0:
+            raise PrtError(f"scene={self.scene.name} has no surface: its triangles have no area")
+        generator = torch.Generator().manual_seed(seed)
+        random = torch.rand((count, 3), generator=generator, dtype=torch.float64)
+        along = (torch.arange(count) + random[:, 0]) / count * area[-1]
+        triangle = torch.searchsorted(area, along).clamp(max=len(area) - 1)
+        root, share = random[:, 1].sqrt(), random[:, 2]
+        return triangle, torch.stack([root * (1 - share), root * share], 1).float()
+
+    def at(self, triangle: Int[Tensor, "N"], weights: Float[Tensor, "N 2"]) -> SurfacePoints:
+        """Points given by triangle and barycentric weights of its second and third corner."""
+        mesh = self.asset.mesh()
+        corners = mesh.face[triangle]
+        normal = torch.nn.functional.normalize(interpolate(mesh.normal[corners], weights), dim=1)
+        # triangles too thin to have vertex normals have one of their own
+        bad = ~(normal.square().sum(1) > 0.5)
+        normal[bad] = flat_normals(mesh)[triangle[bad]]
+        return SurfacePoints(interpolate(mesh.position[corners], weights), normal)
+
+    @functools.cached_property
+    def _scene(self) -> Any:
+        return self.asset.load({})
+
+    def blocked(self, origin: Any, direction: Any) -> Any:
+        """:meth:`occluded` of ``mi.Point3f`` and ``mi.Vector3f``, a ``mi.Bool``."""
+        return self._scene.ray_test(mitsuba().Ray3f(origin, direction))
+
+    def occluded(self, origin: Float[Tensor, "N 3"], direction: Float[Tensor, "N 3"]) -> Bool[Tensor, "N"]:
+        """Whether any triangle lies in that direction."""
+        mi = mitsuba()
+        columns = (np.ascontiguousarray(v.cpu().numpy().T, dtype=np.float32) for v in (origin, direction))
+        o, d = columns
+        found = self.blocked(mi.Point3f(o), mi.Vector3f(d))
+        return torch.from_numpy(np.array(found)).to(origin.device)
+
+    def capture(self, view: View) -> AtlasGBuffer:
+        """What a camera sees, with places in the atlas and on the triangles."""
+        return self.asset.capture(self._scene, view)
