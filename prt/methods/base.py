@@ -43,6 +43,22 @@ class FitLog(Protocol):
         ...
 
 
+class Silent:
+    """A fit log that keeps nothing: for fits within a fit, and of benchmarks."""
+
+    def start(self, steps: int, label: str) -> None: ...
+
+    def step(self, step: int, **values: float) -> None: ...
+
+    def checkpoint_due(self, step: int) -> bool:
+        return False
+
+    def save(self, step: int, state: dict[str, Any]) -> None: ...
+
+    def resume(self) -> None:
+        return None
+
+
 @runtime_checkable
 class Method(Protocol):
     """A way to render a scene under a lighting after precomputation.

@@ -11,26 +11,11 @@ from typing import Any
 import torch
 
 from prt.errors import PrtError
+from prt.methods.base import Silent
 from prt.methods.svd_transfer import SvdTransfer
 from prt.metrics.timing import device_name, time_repeated
 
 NAME, PLAIN = "svd_transfer", "no_indirect"
-
-
-class Silent:
-    """A fit log that keeps nothing: benchmarks fit many small models."""
-
-    def start(self, steps: int, label: str) -> None: ...
-
-    def step(self, step: int, **values: float) -> None: ...
-
-    def checkpoint_due(self, step: int) -> bool:
-        return False
-
-    def save(self, step: int, state: dict[str, Any]) -> None: ...
-
-    def resume(self) -> None:
-        return None
 
 
 def fitted(task: Any, settings: dict[str, Any], **changes: Any) -> SvdTransfer:

@@ -4,12 +4,6 @@
 SCREEN = ("place", "scale", "direct")
 BASIS_UNIT = len(SCREEN)
 
-#: a triangle that covers the screen, from nothing but the vertices' numbers
-VERTEX = """#version 330
-void main() {
-    gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.0, 1.0);
-}
-"""
 #: ahead of it come ``#version 330`` and definitions of
 #: LAYERS: of the basis texture
 #: CHANNELS: of the basis, 1 or 3

@@ -1,73 +1,26 @@
 """The fragment shader that blends a lightmap basis on screen (Belcour 2022, section 5.2), in OpenGL 3.3.
 
-Elements lie four to an RGBA texture, their coefficients in one 4 x 3 matrix per texture. OpenGL comes from
-``moderngl`` without a window: through EGL on Linux, where Mesa's software renderer serves a machine without
-a GPU.
+Elements lie four to an RGBA texture, their coefficients in one 4 x 3 matrix per texture.
 """
 
-import sys
-import weakref
 from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from typing_extensions import Self
 
 from prt.errors import PrtError
-from prt.methods.blend_glsl import BASIS_UNIT, FRAGMENT, SCREEN, VERTEX
+from prt.methods.blend_glsl import BASIS_UNIT, FRAGMENT, SCREEN
+from prt.methods.gl_context import VERTEX, Renderer, available, device_name
 from prt.methods.lightmap_blend import check, with_channels
 from prt.scene.gbuffer import GBuffer
 
+__all__ = ["FILTERS", "BlendShader", "available", "device_name", "packed"]
 FILTERS = ("hardware", "exact")
-HOW = "Debian: apt-get install libegl1 libgl1 libgl1-mesa-dri, or a GPU driver with EGL"
 
 
-def open_context() -> Any:
-    """A fresh OpenGL context without a window, made current.
-
-    Raises:
-        PrtError: where there is none, with what to install.
-    """
-    try:
-        import moderngl
-    except ImportError as error:
-        raise PrtError("the GLSL renderer needs moderngl: pip install moderngl") from error
-    backend = {"backend": "egl"} if sys.platform.startswith("linux") else {}
-    try:
-        return moderngl.create_context(require=330, standalone=True, **backend)
-    except Exception as error:  # the loader raises nothing more special
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise PrtError(f"the GLSL renderer finds no OpenGL 3.3 ({reason}); {HOW}") from error
-
-
-def available() -> str | None:
-    """None where :class:`BlendShader` works, else one line that says why not and what to install."""
-    try:
-        open_context().release()
-    except PrtError as error:
-        return str(error)
-    return None
-
-
-def device_name() -> str:
-    """What would draw: ``GL_RENDERER`` of a fresh context.
-
-    Raises:
-        PrtError: where there is no OpenGL.
-    """
-    context = open_context()
-    try:
-        return context.info["GL_RENDERER"]
-    finally:
-        context.release()
-
-
-class BlendShader:
+class BlendShader(Renderer):
     """direct + scale * sum_k c_k B_k(uv) for every pixel of a G-buffer, drawn by a fragment shader.
-
-    A context manager; otherwise ``release()`` gives the OpenGL context back (it also goes with the object).
-    To be used from one thread, the one that made it.
 
     Args:
         basis: n elements, element 0 the mean; with one channel, (n, H, W) or (n, H, W, 1), four lie in a
@@ -96,9 +49,7 @@ class BlendShader:
         if not gamma > 0:
             raise PrtError(f"gamma={gamma} must be above 0; 1 is linear, 2.2 the usual")
         self.gamma = gamma
-        self._context = context = open_context()
-        # the context alone: a method of self would keep self alive
-        self.release = weakref.finalize(self, context.release)
+        super().__init__()
         try:
             self._check_limits(layers)
             self._build(layers, filter)
@@ -109,21 +60,11 @@ class BlendShader:
         self._target: Any = None
         self._size = (0, 0)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.release()
-
     @property
     def nbytes(self) -> int:
         """Bytes of the basis' textures on the GPU (what section 6.5 counts), zero padding included."""
         width, height, layers = self._basis.size
         return 16 * width * height * layers
-
-    def device_name(self) -> str:
-        """What draws: ``GL_RENDERER``."""
-        return self._current().info["GL_RENDERER"]
 
     def set_gbuffer(
         self, gbuffer: GBuffer, scale: Float[Tensor, "N 3"], direct: Float[Tensor, "N 3"]
@@ -183,11 +124,6 @@ class BlendShader:
             self._target.use()
             self._shaders[indirect].render(vertices=3)
 
-    def finish(self) -> None:
-        """Wait until everything is drawn."""
-        with self._current() as context:
-            context.finish()
-
     def render(self, coefficients: Float[Tensor, "n 3"], indirect: bool = True) -> Float[Tensor, "H W 3"]:
         """:meth:`draw`, and the image: linear RGB, zero where a pixel hits nothing."""
         self.draw(coefficients, indirect)
@@ -196,12 +132,6 @@ class BlendShader:
         with self._current():
             self._target.read_into(image.numpy(), components=3, dtype="f4")
         return image
-
-    def _current(self) -> Any:
-        """The context, for a ``with`` that makes it current and brings back the one before."""
-        if not self.release.alive:
-            raise PrtError("this BlendShader was released; make a new one")
-        return self._context
 
     def _check_limits(self, layers: Float[Tensor, "L H W 4"]) -> None:
         info, per_layer = self._context.info, 4 if self.channels == 1 else 1
@@ -237,9 +167,7 @@ class BlendShader:
                 self._shaders[indirect] = context.vertex_array(program, [])
 
     def _resize(self, context: Any, size: tuple[int, int]) -> None:
-        side = context.info["GL_MAX_TEXTURE_SIZE"]
-        if max(size) > side:
-            raise PrtError(f"an image of {size[0]} x {size[1]} pixels; {side} a side are allowed here")
+        self._check_size(size)
         for old in (*self._screen.values(), self._target):
             if old is not None:
                 old.release()

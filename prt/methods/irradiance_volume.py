@@ -1,4 +1,4 @@
-"""Visibility on a grid in space, interpolated where the surface is (after Greger et al. 1998, irradiance volume).
+"""Visibility on a grid in space, interpolated where the surface is: irradiance volume (Greger et al. 1998).
 
 What a grid of transfer can do without knowing the surface: a node stores the visibility of the whole sphere
 in harmonics; at a point it is interpolated between eight nodes and multiplied by the cosine about the normal
@@ -93,7 +93,7 @@ class IrradianceVolume(ShRelight):
 
 
 def outside(grid: Float[Tensor, "K Z Y X"]) -> Float[Tensor, "K Z Y X"]:
-    """The grid with the nodes that see less than a hundredth of the sphere filled from the nearest other one."""
+    """The grid, nodes that see less than a hundredth of the sphere filled from the nearest other one."""
     from scipy.ndimage import distance_transform_edt
 
     blind = grid[0] < 0.01 * math.sqrt(4 * math.pi)

@@ -5,7 +5,7 @@ The readable version of the fragment shader in :mod:`prt.methods.blend_shader`; 
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from prt.errors import PrtError

@@ -1,4 +1,4 @@
-"""Cutting a large scene into cells with a network each, and merging cells that are alike (Dhawal 2022, 4.4)."""
+"""A large scene cut into cells with a network each, cells that are alike merged (Dhawal 2022, 4.4)."""
 
 import dataclasses
 import itertools

@@ -10,10 +10,10 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from prt.errors import PrtError
-from prt.methods import sh_shading
 from prt.methods.base import Component
-from prt.methods.sh_shading import ShCode
 from prt.scene.gbuffer import GBuffer
+from prt.trace import sh_shading
+from prt.trace.sh_shading import ShCode
 
 
 class ShRelight:
@@ -82,8 +82,8 @@ class ShRelight:
         state = load_file(path)
         if int(state.pop("order")) != task.order:
             raise PrtError(
-                f"{path} was made for another number of bands than task.order={task.order}; use the run's own "
-                "config.yaml"
+                f"{path} was made for another number of bands than task.order={task.order}; use the run's "
+                "own config.yaml"
             )
         state.pop("windowing")
         return {name: value.to(device) for name, value in state.items()}

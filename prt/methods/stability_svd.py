@@ -13,7 +13,8 @@ from torch import Tensor
 
 from prt.errors import PrtError
 from prt.light.local import LightRig
-from prt.methods.benchmark_svd import Silent, fitted, row
+from prt.methods.base import Silent
+from prt.methods.benchmark_svd import fitted, row
 from prt.methods.svd_basis import condition, normalised
 from prt.methods.svd_transfer import SvdTransfer
 from prt.scene.lightmap_points import MeasurePoints

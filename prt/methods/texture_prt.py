@@ -18,7 +18,7 @@ from prt.scene.texture_lookup import bilinear
 class TexturePrt(ShRelight):
     """The method; settings as in ``conf/method/texture_prt.yaml``. Its size is the task's ``texels``."""
 
-    _texels: Float[Tensor, "T K"] | None = None
+    _texels: Tensor | None = None  # (T, K)
     _size: tuple[int, int] = (0, 0)
 
     def fit(self, task: Any, log: FitLog, seed: int, device: str) -> None:
@@ -30,8 +30,9 @@ class TexturePrt(ShRelight):
         self.prepare(task, device)
         log.resume()
         log.start(1, "texture_prt")
-        self._texels, self._size = task.texture(seed).to(device), mesh_of(task, "texture_prt").size
-        log.step(1, mean=float(self._texels[:, 0].mean()))
+        size, texels = mesh_of(task, "texture_prt").size, task.texture(seed).to(device)
+        self._texels, self._size = texels, size
+        log.step(1, mean=float(texels[:, 0].mean()))
         log.save(1, {})
 
     def transfer(self, gbuffer: GBuffer) -> Float[Tensor, "N K"]:

@@ -15,12 +15,12 @@ from torch import Tensor
 
 from prt.cache import cached
 from prt.errors import PrtError
-from prt.methods import sh_shading
 from prt.metrics.registry import evaluate
 from prt.progress import track
 from prt.scene.gbuffer import GBuffer
 from prt.scene.lightmap_points import AtlasGBuffer
 from prt.tasks.test_item import TestItem, floor_of
+from prt.trace import sh_shading
 from prt.trace.direct_light import direct_light
 from prt.trace.surface import MeshSurface, Surface, SurfacePoints
 from prt.trace.texture_transfer import texture_transfer

@@ -1,6 +1,6 @@
 """Shadowed direct light of an environment, ray-traced: no harmonics, nothing stored.
 
-Diffuse and Phong materials as in :mod:`prt.methods.sh_shading`, sampled by the material and by the
+Diffuse and Phong materials as in :mod:`prt.trace.sh_shading`, sampled by the material and by the
 environment's texels, combined by the balance heuristic (Veach 1997).
 """
 
@@ -80,7 +80,7 @@ def _by_material(
 
 
 class _Texels:
-    """Directions in proportion to the brightness of an environment's texels, uniform in solid angle within."""
+    """Directions in proportion to the brightness of an environment's texels, even on the face within."""
 
     def __init__(self, lighting: Float[Tensor, "6 R R 3"]):
         self.flat, self.R = lighting.reshape(-1, 3), lighting.shape[1]

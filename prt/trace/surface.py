@@ -1,4 +1,4 @@
-"""What transfer is baked on: points spread over a surface, what blocks the light there, what a camera sees."""
+"""What transfer is baked on: points spread over a surface, what blocks their light, what a camera sees."""
 
 import dataclasses
 import functools
@@ -40,10 +40,16 @@ class Surface(Protocol):
     """A surface of any representation; the contract stands in docs/architecture.md."""
 
     scene: Any
-    #: rays that could not be decided, and the like, by name
-    counts: dict[str, int]
-    #: whether the way from origin along direction is blocked, as Dr.Jit code; None: ask :meth:`occluded`
-    blocked: Callable[[Any, Any], Any] | None
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Rays that could not be decided, and the like, by name."""
+        ...
+
+    @property
+    def blocked(self) -> Callable[[Any, Any], Any] | None:
+        """Whether the way from an origin along a direction is blocked, as Dr.Jit code; None without."""
+        ...
 
     @property
     def bounds(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -89,7 +95,8 @@ class MeshSurface:
                 f"scene={scene.name} moves or is translucent; transfer of direct light needs a static, "
                 "opaque scene"
             )
-        self.scene, self.asset, self.counts = scene, scene.asset(texels), {}
+        self.scene, self.asset = scene, scene.asset(texels)
+        self.counts: dict[str, int] = {}
 
     @property
     def bounds(self) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -55,7 +55,7 @@ def bake(
 def bake_visibility(
     surface: Surface, position: Float[Tensor, "N 3"], order: int, directions: int, seed: int, label: str = ""
 ) -> Float[Tensor, "N K"]:
-    """Integrals of ``V(d) y_i(d)`` over the whole sphere at points in space; arguments as for :func:`bake`."""
+    """Integrals of ``V(d) y_i(d)`` over the whole sphere at points in space; arguments as in :func:`bake`."""
     return 4 * math.pi * _bake(surface, position, None, order, directions, seed, label)
 
 

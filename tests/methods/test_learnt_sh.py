@@ -1,5 +1,6 @@
-"""Learnt transfer: it learns, resumes to the same numbers, is cut into cells, is stored, and what is refused."""
+"""Learnt transfer: it learns, resumes to the same numbers, is cut into cells, is stored; what is refused."""
 
+import dataclasses
 import math
 import types
 
@@ -8,12 +9,13 @@ import torch
 from tiny import Log
 
 from prt.errors import PrtError
-from prt.light.sh import sh_basis
+from prt.methods.gl_context import available
 from prt.methods.irradiance_volume import times_cosine
-from prt.methods.learnt_sh import LearntSh
+from prt.methods.learnt_sh import LearntSh, held_out_error
 from prt.nn.encodings import frequencies
 from prt.nn.transfer_network import TransferNetwork
 from prt.scene.gbuffer import GBuffer
+from prt.scene.view import View
 from prt.tasks.relight_direct import TransferPoints
 from prt.trace.surface import SurfacePoints
 
@@ -148,11 +150,85 @@ def test_frequencies():
 @pytest.mark.parametrize(("changes", "message"), [
     ({"neurons": 0}, "method.neurons=0"), ({"layers": 1.5}, "method.layers=1.5"),
     ({"loss": "l3"}, "method.training.loss='l3'"), ({"renderer": "vulkan"}, "method.renderer='vulkan'"),
-    ({"margin": -1}, "method.margin=-1"), ({"networks": 2}, "method.networks=2 merges cells"),
+    ({"margin": -1}, "method.margin=-1"), ({"neurons": "auto"}, "method.ladder, which is empty"),
+    ({"neurons": "auto", "ladder": [[4, 0]]}, r"method.ladder\[0\]=0"), ({"target": 0}, "method.target=0"),
+    ({"networks": 2}, "method.networks=2 merges cells"),
 ])  # fmt: skip
 def test_refusals(changes, message):
     with pytest.raises(PrtError, match=message):
         method_of(**changes)
+
+
+def auto_task():
+    points, transfer = field(400, 77)
+    task = task_of()
+    task.held_out = lambda: TransferPoints(points, transfer, BOX)
+    return task
+
+
+def test_the_smallest_size_that_meets_the_target_is_taken(tmp_path):
+    ladder = [[1, 1], [16, 2], [24, 2]]
+    method, log = method_of(300, neurons="auto", ladder=ladder, target=0.2), Kept()
+    method.fit(auto_task(), log, 0, "cpu")
+    assert (method.neurons, method.layers) == (16, 2)
+    errors = [values["held_out_error"] for values in log.steps]
+    assert len(errors) == 2 and errors[0] > 0.2 > errors[1] == pytest.approx(
+        held_out_error(auto_task(), method)
+    )
+    method.save(tmp_path / "x.safetensors")
+    again = method_of(300, neurons="auto", ladder=ladder, target=0.2)
+    again.load(tmp_path / "x.safetensors", auto_task(), "cpu")
+    assert (again.neurons, again.layers) == (16, 2) and again.nbytes() == method.nbytes()
+    # resumed after the last size was trained, and after the one before
+    for kept in (log.kept, log.first):
+        resumed, more = method_of(300, neurons="auto", ladder=ladder, target=0.2), Kept(kept)
+        resumed.fit(auto_task(), more, 0, "cpu")
+        assert (resumed.neurons, len(more.steps)) == (16, 0 if kept is log.kept else 1)
+        assert torch.equal(resumed.nets[0].mlp.layers[0].weight, method.nets[0].mlp.layers[0].weight)
+
+
+def test_a_target_no_size_meets_is_an_error_with_the_best():
+    method = method_of(20, neurons="auto", ladder=[[2, 1], [4, 1]], target=1e-6)
+    with pytest.raises(PrtError, match=r"meets method.target=1e-06: the largest has a held-out error of "):
+        method.fit(auto_task(), Kept(), 0, "cpu")
+
+
+class Kept:
+    """Keeps all steps and the first and last state."""
+
+    def __init__(self, kept=None):
+        self.kept, self.first, self.steps = kept, None, []
+
+    def start(self, steps, label):
+        pass
+
+    def step(self, step, **values):
+        self.steps.append(values)
+
+    def save(self, step, state):
+        self.kept = (step, state)
+        self.first = self.first or self.kept
+
+    def resume(self):
+        return self.kept
+
+
+@pytest.mark.parametrize("cells", [None, [2, 1, 1]])
+def test_the_shader_draws_what_torch_computes(cells):
+    problem = available()
+    if problem:
+        pytest.skip(problem)
+    method = method_of(20, cells=cells)
+    method.fit(task_of(), Log(), 0, "cpu")
+    points, _ = field(64, 4)
+    view = View((0.0, 0.0, 3.0), (0.0, 0.0, 0.0), width=8, height=8)
+    gbuffer = dataclasses.replace(gbuffer_of(points), view=view, hit=torch.ones(64, dtype=torch.bool))
+    code = method.light(torch.rand((6, 8, 8, 3), generator=torch.Generator().manual_seed(0)))
+    expected = method.shade(gbuffer, code)
+    method.renderer = "glsl"
+    torch.testing.assert_close(method.shade(gbuffer, code), expected, atol=1e-4, rtol=0)
+    with pytest.raises(PrtError, match="draws images"):
+        method.shade(gbuffer.rows(torch.arange(5)), code)
 
 
 def test_before_fitting():
@@ -160,4 +236,3 @@ def test_before_fitting():
         method_of().light(torch.ones((6, 8, 8, 3)))
     with pytest.raises(PrtError, match="no network yet"):
         method_of().transfer(gbuffer_of(field(3)[0]))
-    assert sh_basis(torch.tensor([[0.0, 0.0, 1.0]]), 0).shape == (1, 1)

@@ -9,7 +9,6 @@ from kept_log import Log
 
 from prt.errors import PrtError
 from prt.light.sh_products import phong_bands, window
-from prt.methods import sh_shading
 from prt.methods.base import Component, Method
 from prt.methods.cast_prt import CastPrt
 from prt.methods.irradiance_volume import IrradianceVolume, outside, times_cosine
@@ -18,6 +17,7 @@ from prt.methods.vertex_prt import VertexPrt
 from prt.scene.gbuffer import GBuffer
 from prt.scene.shapes import MeshData, sphere_mesh
 from prt.scene.view import View
+from prt.trace import sh_shading
 from prt.trace.surface import MeshSurface
 from prt.trace.texture_transfer import texture_transfer
 
@@ -80,17 +80,15 @@ def test_an_open_ball_has_the_open_transfer(name, least, task):
     assert float((method.transfer(gbuffer) - open_).abs().mean()) < least
 
 
-def test_a_finer_volume_is_nearer_to_the_truth():
-    task, found = ball_task(), {}
-    truth = METHODS["cast"]()
-    truth.fit(task, Log(), 0, "cpu")
+@pytest.mark.parametrize(("nodes", "most"), [(5, 0.25), (33, 0.08)])
+def test_a_volume_around_a_ball_nears_the_cast_transfer(nodes, most):
+    """Half a sphere, cut to four bands, times the cosine: a few percent are lost whatever the grid."""
+    task, truth, method = ball_task(), METHODS["cast"](), IrradianceVolume(nodes, 128)
     gbuffer = task.surface.capture(VIEW)
-    for nodes in (4, 33):
-        method = IrradianceVolume(nodes, 128)
-        method.fit(task, Log(), 0, "cpu")
-        wrong = method.transfer(gbuffer) - truth.transfer(gbuffer)
-        found[nodes] = float(wrong.norm() / truth.transfer(gbuffer).norm())
-    assert found[33] < 0.6 * found[4] and found[33] < 0.2
+    for one in (truth, method):
+        one.fit(task, Log(), 0, "cpu")
+    wrong = method.transfer(gbuffer) - truth.transfer(gbuffer)
+    assert float(wrong.norm() / truth.transfer(gbuffer).norm()) < most
 
 
 def test_nodes_inside_of_solids_take_the_nearest_that_sees():
