@@ -20,9 +20,13 @@ from prt.metrics.timing import device_name, time_repeated
 from prt.nn.transfer_network import TransferNetwork
 from prt.scene.gbuffer import GBuffer
 from prt.trace import sh_shading
+from prt.trace.direct_light import direct_light
 from prt.trace.sh_shading import ShCode
+from prt.trace.transfer import bake
 
 NAME = "learnt_sh"
+#: of directions that are no one else's
+NOISE_SEED = 9000
 
 
 def row(metric: str, value: float, variant: str, split: str = "", device: str = "", n: int = 1,
@@ -183,14 +187,21 @@ def need_gl() -> None:
 
 
 def capacity(
-    task: Any, method: dict[str, Any], sizes: list[list[int]], targets: list[float]
-) -> list[dict[str, Any]]:
+    task: Any, method: dict[str, Any], sizes: list[list[int]], targets: list[float], orders: list[int],
+    views: int = 3,
+) -> list[dict[str, Any]]:  # fmt: skip
     """Error on points held out against the size of the network, and the smallest that meets each target.
 
     What the paper leaves open (section 6): "to empirically determine the optimal size of the network".
-    ``error/noise`` is the noise of the transfer itself: no network can be judged to be better.
+    ``error/noise`` is the noise of the cast transfer itself: what no network gets below. Beside it the error
+    of bands (:func:`bands`).
     """
-    rows, met = [], []
+    rows, met = bands(task, orders, views, targets), []
+    points = task.held_out().points
+    other = bake(task.surface, points.position, points.normal, task.order, task.directions, NOISE_SEED)
+    truth = task.held_out().transfer
+    # both estimates have the same noise
+    rows.append(row("error/noise", float((other - truth).norm() / truth.norm()) / 2**0.5, ""))
     for neurons, layers in sizes:
         model = LearntSh(**{**method, "neurons": neurons, "layers": layers})
         model.fit(task, Silent(), 0, "cpu")
@@ -205,4 +216,40 @@ def capacity(
             rows.append(row("neurons/chosen", neurons, f"target={target:g}"))
             rows.append(row("layers/chosen", layers, f"target={target:g}"))
             rows.append(row("bytes/chosen", size, f"target={target:g}"))
+    return rows
+
+
+def bands(task: Any, orders: list[int], views: int, targets: list[float]) -> list[dict[str, Any]]:
+    """Error of radiance by the number of bands, with transfer cast for every pixel, against the ray-traced
+    truth; and the fewest that meet each target.
+
+    Relative to the root mean square of the truth over the first ``views`` test views and their lights.
+    """
+    wrong: dict[tuple[str, int], list[float]] = {}
+    size: dict[str, float] = {}
+    most = max(orders)
+    for item in task.tests():
+        if int(item.view_name[4:]) >= views:
+            continue
+        gbuffer = item.gbuffer
+        transfer = bake(
+            task.surface, gbuffer.position, gbuffer.normal, most, task.reference_directions, NOISE_SEED
+        )
+        truth = direct_light(
+            task.surface, gbuffer.position, gbuffer.normal, gbuffer.wr, gbuffer.diffuse, gbuffer.specular,
+            sh_shading.exponent_of(gbuffer.roughness), item.lighting, task.truth_samples, NOISE_SEED,
+        )  # fmt: skip
+        size[item.split] = size.get(item.split, 0.0) + float(truth.square().sum())
+        for order in orders:
+            code = sh_shading.encode(item.lighting, order, task.windowing)
+            image = sh_shading.shade(transfer[:, : order**2].contiguous(), gbuffer, code)
+            wrong.setdefault((item.split, order), []).append(float((image - truth).square().sum()))
+    rows = []
+    for split, whole in size.items():
+        error = {order: (sum(wrong[split, order]) / whole) ** 0.5 for order in orders}
+        rows += [row("error/bands", error[order], f"order={order}", split) for order in orders]
+        for target in targets:
+            enough = [order for order in orders if error[order] <= target]
+            if enough:
+                rows.append(row("order/chosen", min(enough), f"target={target:g}", split))
     return rows

@@ -67,10 +67,10 @@ def mesh_of(task: Any, method: str) -> Any:
         PrtError: for a surface that is none, such as a signed distance field.
     """
     asset = getattr(task.surface, "asset", None)
-    if asset is None:
+    if asset is None or not getattr(task, "texels", 1):
         raise PrtError(
-            f"method={method} stores transfer on a mesh, and scene={task.scene.name} has none; take "
-            "method=learnt_sh, irradiance_volume or cast_prt"
+            f"method={method} stores transfer on a mesh, and scene={task.scene.name} has none, or "
+            "task.texels=0; take method=learnt_sh, irradiance_volume or cast_prt"
         )
     return asset
 

@@ -59,6 +59,7 @@ _ALL = (
     Diagnostic("rays/", "rays", "lower", "", True, "Rays of one image."),
     Diagnostic("neurons/", "neurons", "lower", "", True, "Neurons of a layer."),
     Diagnostic("networks/", "networks", "lower", "", True, "Networks of a scene that is cut into cells."),
+    Diagnostic("order/", "bands", "lower", "", True, "Bands of spherical harmonics."),
     Diagnostic("layers/", "layers", "lower", "", True, "Hidden layers of a network."),
     Diagnostic("seam/", "seam", "lower", "", True,
                "Difference of two neighbouring networks at their boundary, over the root mean square there."),

@@ -61,7 +61,8 @@ class RelightDirect:
         exponent: of the Phong lobe.
         train_points: evenly by area, whose transfer a method may learn from; one in ten more is held out.
         directions: rays of each.
-        texels: of the atlas of a mesh, a side, and of the texture of ``reference: texture``.
+        texels: of the atlas of a mesh, a side, and of the texture of ``reference: texture``; 0 for none, where
+            no method needs one.
         views, size: test views along the far trajectories, and their pixels a side.
         reference: what ``psnr`` and its like compare with, always under the lighting in few bands but for the
             last. ``cast``: transfer cast for every pixel. ``texture``: transfer in a texture, the baseline of
@@ -86,7 +87,7 @@ class RelightDirect:
             raise PrtError("task=relight_direct needs environments: lighting=hdri or procedural")
         for setting, value, least in (
             ("order", order, 1), ("train_points", train_points, 1), ("directions", directions, 1),
-            ("views", views, 1), ("size", size, 1), ("reference_directions", reference_directions, 2),
+            ("views", views, 1), ("size", size, 1), ("texels", texels, 0), ("reference_directions", reference_directions, 2),
             ("split_views", split_views, 0), ("truth_samples", truth_samples, 4),
         ):  # fmt: skip
             if value < least:
@@ -96,6 +97,8 @@ class RelightDirect:
         for part in materials:
             if part not in MATERIALS:
                 raise PrtError(f"task.materials names {part!r}; choose from {', '.join(MATERIALS)}")
+        if reference == "texture" and texels == 0:
+            raise PrtError("task.reference=texture needs an atlas, and task.texels=0; set task.texels=1024")
         if reference not in REFERENCES:
             raise PrtError(f"task.reference={reference!r} is not one of {', '.join(REFERENCES)}")
         self.scene, self.lighting, self.resolution = scene, lighting, resolution
@@ -222,7 +225,7 @@ class RelightDirect:
             return found
 
         found = cached("view", VIEW_VERSION, settings, build)
-        kind = AtlasGBuffer if isinstance(surface, MeshSurface) else GBuffer
+        kind = AtlasGBuffer if isinstance(surface, MeshSurface) and self.texels else GBuffer
         transfer = [found[f"transfer.{half}"] for half in (0, 1)] if cast else None
         return _Seen(kind.from_tensors(found, view), transfer)
 

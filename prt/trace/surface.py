@@ -13,8 +13,8 @@ from typing_extensions import Self
 
 from prt.errors import PrtError
 from prt.scene.atlas import interpolate
+from prt.scene.capture import capture
 from prt.scene.gbuffer import GBuffer
-from prt.scene.lightmap_points import AtlasGBuffer
 from prt.scene.meshes import flat_normals
 from prt.scene.mitsuba_setup import mitsuba
 from prt.scene.view import View
@@ -83,7 +83,8 @@ class MeshSurface:
 
     Args:
         scene: a static one without a medium.
-        texels: of its atlas, a side, for methods that store transfer in a texture.
+        texels: of its atlas, a side, for methods that store transfer in a texture; 0 for no atlas, which a
+            large scene may take minutes for: views then know neither places in it nor triangles.
 
     Raises:
         PrtError: for a scene that moves, or that light passes through.
@@ -95,7 +96,7 @@ class MeshSurface:
                 f"scene={scene.name} moves or is translucent; transfer of direct light needs a static, "
                 "opaque scene"
             )
-        self.scene, self.asset = scene, scene.asset(texels)
+        self.scene, self.texels, self.asset = scene, texels, scene.asset(max(texels, 8))
         self.counts: dict[str, int] = {}
 
     @property
@@ -161,6 +162,6 @@ class MeshSurface:
         found = self.blocked(mi.Point3f(o), mi.Vector3f(d))
         return torch.from_numpy(np.array(found)).to(origin.device)
 
-    def capture(self, view: View) -> AtlasGBuffer:
-        """What a camera sees, with places in the atlas and on the triangles."""
-        return self.asset.capture(self._scene, view)
+    def capture(self, view: View) -> GBuffer:
+        """What a camera sees, with places in the atlas and on the triangles where there is an atlas."""
+        return self.asset.capture(self._scene, view) if self.texels else capture(self._scene, view)

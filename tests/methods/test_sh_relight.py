@@ -168,7 +168,7 @@ def test_a_field_has_no_vertices_and_no_texture():
         texture=lambda seed: torch.zeros((4, 16)),
     )  # fmt: skip
     for method in (TexturePrt(), VertexPrt(4)):
-        with pytest.raises(PrtError, match="scene=blob has none; take method=learnt_sh"):
+        with pytest.raises(PrtError, match="scene=blob has none, or task.texels=0; take method=learnt_sh"):
             method.fit(task, Log(), 0, "cpu")
 
 
