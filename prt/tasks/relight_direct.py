@@ -61,8 +61,8 @@ class RelightDirect:
         exponent: of the Phong lobe.
         train_points: evenly by area, whose transfer a method may learn from; one in ten more is held out.
         directions: rays of each.
-        texels: of the atlas of a mesh, a side, and of the texture of ``reference: texture``; 0 for none, where
-            no method needs one.
+        texels: of the atlas of a mesh, a side, and of the texture of ``reference: texture``; 0 for none,
+            where no method needs one.
         views, size: test views along the far trajectories, and their pixels a side.
         reference: what ``psnr`` and its like compare with, always under the lighting in few bands but for the
             last. ``cast``: transfer cast for every pixel. ``texture``: transfer in a texture, the baseline of
@@ -87,7 +87,8 @@ class RelightDirect:
             raise PrtError("task=relight_direct needs environments: lighting=hdri or procedural")
         for setting, value, least in (
             ("order", order, 1), ("train_points", train_points, 1), ("directions", directions, 1),
-            ("views", views, 1), ("size", size, 1), ("texels", texels, 0), ("reference_directions", reference_directions, 2),
+            ("views", views, 1), ("size", size, 1), ("texels", texels, 0),
+            ("reference_directions", reference_directions, 2),
             ("split_views", split_views, 0), ("truth_samples", truth_samples, 4),
         ):  # fmt: skip
             if value < least:
@@ -98,7 +99,7 @@ class RelightDirect:
             if part not in MATERIALS:
                 raise PrtError(f"task.materials names {part!r}; choose from {', '.join(MATERIALS)}")
         if reference == "texture" and texels == 0:
-            raise PrtError("task.reference=texture needs an atlas, and task.texels=0; set task.texels=1024")
+            raise PrtError("task.reference=texture needs an atlas; set task.texels=1024")
         if reference not in REFERENCES:
             raise PrtError(f"task.reference={reference!r} is not one of {', '.join(REFERENCES)}")
         self.scene, self.lighting, self.resolution = scene, lighting, resolution

@@ -128,6 +128,7 @@ def _kernel(
 
     state = (dr.zeros(mi.UInt32, len(origin)), *(dr.zeros(mi.Float, len(origin)) for _ in range(order**2)))
     found = dr.while_loop(state, lambda index, *_: index < many, step, label="transfer")
+    dr.eval(found)  # all sums at once: reading them one by one would run the loop for each
     sums = np.stack([np.array(part) for part in found[1:]], 1) / directions
     return torch.from_numpy(sums).float() * _signs(order)
 
