@@ -20,7 +20,7 @@ from prt.metrics.timing import device_name, time_repeated
 from prt.nn.transfer_network import TransferNetwork
 from prt.scene.gbuffer import GBuffer
 from prt.trace import sh_shading
-from prt.trace.direct_light import direct_light
+from prt.trace.band_error import band_errors, fewest
 from prt.trace.sh_shading import ShCode
 from prt.trace.transfer import bake
 
@@ -220,36 +220,18 @@ def capacity(
 
 
 def bands(task: Any, orders: list[int], views: int, targets: list[float]) -> list[dict[str, Any]]:
-    """Error of radiance by the number of bands, with transfer cast for every pixel, against the ray-traced
-    truth; and the fewest that meet each target.
-
-    Relative to the root mean square of the truth over the first ``views`` test views and their lights.
-    """
-    wrong: dict[tuple[str, int], list[float]] = {}
-    size: dict[str, float] = {}
-    most = max(orders)
-    for item in task.tests():
-        if int(item.view_name[4:]) >= views:
-            continue
-        gbuffer = item.gbuffer
-        transfer = bake(
-            task.surface, gbuffer.position, gbuffer.normal, most, task.reference_directions, NOISE_SEED
-        )
-        truth = direct_light(
-            task.surface, gbuffer.position, gbuffer.normal, gbuffer.wr, gbuffer.diffuse, gbuffer.specular,
-            sh_shading.exponent_of(gbuffer.roughness), item.lighting, task.truth_samples, NOISE_SEED,
-        )  # fmt: skip
-        size[item.split] = size.get(item.split, 0.0) + float(truth.square().sum())
-        for order in orders:
-            code = sh_shading.encode(item.lighting, order, task.windowing)
-            image = sh_shading.shade(transfer[:, : order**2].contiguous(), gbuffer, code)
-            wrong.setdefault((item.split, order), []).append(float((image - truth).square().sum()))
+    """Error of radiance by the number of bands (:func:`prt.trace.band_error.band_errors`), and the fewest
+    that meet each target, over the first ``views`` test views."""
     rows = []
-    for split, whole in size.items():
-        error = {order: (sum(wrong[split, order]) / whole) ** 0.5 for order in orders}
-        rows += [row("error/bands", error[order], f"order={order}", split) for order in orders]
+    for split in task.materials:
+        items = [i for i in task.tests() if i.split == split and int(i.view_name[4:]) < views]
+        errors = band_errors(
+            task.surface, [(item.gbuffer, item.lighting) for item in items], orders,
+            task.reference_directions, task.truth_samples, task.windowing, NOISE_SEED,
+        )  # fmt: skip
+        rows += [row("error/bands", error, f"order={order}", split) for order, error in errors.items()]
         for target in targets:
-            enough = [order for order in orders if error[order] <= target]
-            if enough:
-                rows.append(row("order/chosen", min(enough), f"target={target:g}", split))
+            enough = fewest(errors, target)
+            if enough is not None:
+                rows.append(row("order/chosen", enough, f"target={target:g}", split))
     return rows

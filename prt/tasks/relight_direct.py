@@ -21,10 +21,11 @@ from prt.scene.gbuffer import GBuffer
 from prt.scene.lightmap_points import AtlasGBuffer
 from prt.tasks.test_item import TestItem, floor_of
 from prt.trace import sh_shading
+from prt.trace.band_error import band_errors, fewest
 from prt.trace.direct_light import direct_light
 from prt.trace.surface import MeshSurface, Surface, SurfacePoints
 from prt.trace.texture_transfer import texture_transfer
-from prt.trace.transfer import bake
+from prt.trace.transfer import MOST_BANDS, bake
 
 #: raise when the content of a cache changes for equal settings
 TRANSFER_VERSION = 1
@@ -36,6 +37,8 @@ REFERENCES = ("cast", "texture", "truth")
 REFERENCE_SEED = 7000
 #: added to the seed of the points held out
 HELD_OUT_SEED = 4000
+#: training views, their pixels a side, and the seed that ``order: auto`` judges by
+CHOICE_VIEWS, CHOICE_SIZE, CHOICE_SEED = 4, 64, 5000
 
 
 @dataclasses.dataclass
@@ -53,7 +56,10 @@ class RelightDirect:
     Args:
         scene, lighting: a scene of meshes or a signed distance field, and an environment set.
         resolution: R of the cubemap that the coefficients are taken from.
-        order: bands of the lighting and of the transfer; ``order^2`` coefficients.
+        order: bands of the lighting and of the transfer; ``order^2`` coefficients. ``auto`` takes the fewest
+            with which radiance in training views under training lights is within ``order_target`` of the
+            ray-traced truth, in every material.
+        order_target: root mean square error over the root mean square of the truth.
         windowing: damping of its upper bands against ringing, 0 for none
             (:func:`prt.light.sh_products.window`).
         materials: splits that are tested, ``diffuse`` and ``glossy``; each gives the whole surface one
@@ -78,15 +84,16 @@ class RelightDirect:
     denoise_after = False
 
     def __init__(
-        self, scene: Any, lighting: Any, name: str, resolution: int, order: int, windowing: float,
+        self, scene: Any, lighting: Any, name: str, resolution: int, order: int | str, windowing: float,
         materials: list[str], exponent: float, train_points: int, directions: int, texels: int, views: int,
         size: int, reference: str, reference_directions: int, split_views: int, truth_samples: int,
-        seed: int = 0,
+        order_target: float = 0.2, seed: int = 0,
     ):  # fmt: skip
         if not hasattr(lighting, "test") or not hasattr(lighting, "prior"):
             raise PrtError("task=relight_direct needs environments: lighting=hdri or procedural")
         for setting, value, least in (
-            ("order", order, 1), ("train_points", train_points, 1), ("directions", directions, 1),
+            ("order", 1 if order == "auto" else order, 1),
+            ("train_points", train_points, 1), ("directions", directions, 1),
             ("views", views, 1), ("size", size, 1), ("texels", texels, 0),
             ("reference_directions", reference_directions, 2),
             ("split_views", split_views, 0), ("truth_samples", truth_samples, 4),
@@ -103,7 +110,8 @@ class RelightDirect:
         if reference not in REFERENCES:
             raise PrtError(f"task.reference={reference!r} is not one of {', '.join(REFERENCES)}")
         self.scene, self.lighting, self.resolution = scene, lighting, resolution
-        self.order, self.windowing = order, windowing
+        self._order, self.windowing = order, windowing
+        self.order_target = order_target
         self.materials, self.exponent = list(materials), exponent
         self.train_points, self.directions, self.texels = train_points, directions, texels
         self.views, self.size, self.split_views = views, size, split_views
@@ -127,6 +135,36 @@ class RelightDirect:
         from prt.trace.sdf_surface import SdfSurface
 
         return SdfSurface(self.scene)
+
+    @functools.cached_property
+    def order(self) -> int:
+        """Bands of the lighting and of the transfer.
+
+        Raises:
+            PrtError: for ``auto``, where no number up to the most is enough.
+        """
+        if self._order != "auto":
+            return int(self._order)
+        _, lightings = self.lighting.train()
+        views = self.scene.views("train", CHOICE_VIEWS, CHOICE_SIZE)
+        seen = [(self.surface.capture(view), lightings[i % len(lightings)]) for i, view in enumerate(views)]
+        errors: dict[int, float] = {}
+        for material in self.materials:
+            dressed = [(self.dressed(gbuffer, material), light) for gbuffer, light in seen]
+            found = band_errors(
+                self.surface, dressed, range(1, MOST_BANDS + 1), self.directions, self.truth_samples,
+                self.windowing, CHOICE_SEED,
+            )  # fmt: skip
+            errors = {order: max(error, errors.get(order, 0.0)) for order, error in found.items()}
+        enough = fewest(errors, self.order_target)
+        if enough is None:
+            best = min(errors, key=lambda order: errors[order])
+            raise PrtError(
+                f"task.order=auto: no number of bands up to {MOST_BANDS} meets task.order_target="
+                f"{self.order_target}; the best, {best}, has {errors[best]:.3g}; raise the target or set "
+                "task.order"
+            )
+        return enough
 
     # ---- what a method may learn from
 

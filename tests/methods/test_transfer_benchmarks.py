@@ -15,7 +15,8 @@ SMALL = ["task=relight_direct", "budget=smoke", "task.train_points=2000", "task.
          "task.reference_directions=32", "task.truth_samples=32"]  # fmt: skip
 METHOD = {
     "neurons": 16, "layers": 2, "position_frequencies": 3, "normal_frequencies": 0,
-    "training": {"steps": 150, "batch": 512, "rate": 5e-3, "average": 0.9, "loss": "l1", "scale_outputs": True},
+    "training": {"steps": 150, "batch": 512, "rate": 5e-3, "average": 0.9, "loss": "l1",
+                 "scale_outputs": True},
 }  # fmt: skip
 
 

@@ -87,6 +87,17 @@ def test_reflectance_is_the_sum_of_both(words):
     assert float(task.dressed(mixed, "glossy").specular.mean()) == pytest.approx(0.7)
 
 
+def test_the_fewest_bands_that_are_enough(words):
+    few, more = (
+        task_of(words, "task.order=auto", f"task.order_target={target}", "task.materials=[diffuse]",
+                "task.truth_samples=256").order
+        for target in (0.5, 0.15)
+    )  # fmt: skip
+    assert 1 <= few < more <= 10
+    with pytest.raises(PrtError, match="no number of bands up to 10 meets task.order_target=0.001"):
+        _ = task_of(words, "task.order=auto", "task.order_target=0.001").order
+
+
 @pytest.mark.parametrize(("change", "message"), [
     ("task.materials=[metal]", "names 'metal'; choose from diffuse, glossy"),
     ("task.reference=best", "task.reference='best' is not one of"),
