@@ -6,6 +6,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from prt.errors import PrtError
+from prt.scene.area_sampling import by_area
+from prt.scene.atlas import interpolate
 from prt.scene.mitsuba_setup import mitsuba
 from prt.scene.shapes import MeshData, to_mesh
 
@@ -53,12 +55,8 @@ class MeshDistance:
     def sample(self, count: int, generator: torch.Generator) -> tuple[Float[Tensor, "N 3"], Int[Tensor, "N"]]:
         """Points evenly spread by area, one in each of ``count`` equal areas, and their faces; float64."""
         random = torch.rand((count, 3), generator=generator, dtype=torch.float64)
-        total = self.area.cumsum(0)
-        along = (torch.arange(count) + random[:, 0]) / count * total[-1]
-        face = torch.searchsorted(total, along).clamp(max=len(total) - 1)
-        root, share = random[:, 1].sqrt()[:, None], random[:, 2][:, None]
-        a, b, c = self.corners[face].unbind(1)
-        return (1 - root) * a + root * (1 - share) * b + root * share * c, face
+        face, weights = by_area(self.area, random, torch.arange(count))
+        return interpolate(self.corners[face], weights), face
 
     def __call__(self, position: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, "N"], Float[Tensor, "N 3"]]:
         """Signed distance, negative inside, and its gradient: unit, away from the nearest point outside.

@@ -3,7 +3,6 @@
 import contextlib
 import importlib
 import inspect
-import math
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,28 +13,23 @@ from jaxtyping import Float
 from torch import Tensor
 
 from prt.errors import PrtError
-from prt.scene.scene import Scene, Trajectory, file_digest
+from prt.scene.field_scene import PROBE, Corner, Distance, FieldScene, numbers
+from prt.scene.scene import Trajectory, file_digest
 from prt.scene.sdf import Sdf
 
-Distance = Callable[[Float[Tensor, "N 3"]], Float[Tensor, "N"]]
-Corner = tuple[float, float, float]
-#: cells a side of the grid that is searched for a zero set, and points evaluated together
-PROBE, CHUNK = 64, 1 << 16
 
-
-class SdfScene(Scene):
+class SdfScene(FieldScene):
     """One opaque, diffuse object of one colour, bounded by the zero set of a distance function.
 
     The function is imported when it is first needed.
 
     Args:
-        cameras, name, max_depth, record: as in :class:`~prt.scene.scene.Scene`.
+        cameras, name, max_depth, record, albedo: as in :class:`~prt.scene.field_scene.FieldScene`.
         function: ``module:name``, importable, or a module of the current folder. Called without arguments
             it returns an :class:`~prt.scene.sdf.Sdf`, or a distance function. With one required parameter
             it is the distance function itself: points (N, 3) to distances (N,) in torch, negative inside,
             1-Lipschitz, differentiable by autograd. An ``Sdf`` may also stand there by itself.
         bounds: two corners of a box that holds the whole zero set, world units.
-        albedo: linear RGB in [0, 1].
 
     Raises:
         PrtError: if a setting is out of range.
@@ -51,7 +45,7 @@ class SdfScene(Scene):
         bounds: Sequence[Sequence[float]] = ((-1.1, -1.1, -1.1), (1.1, 1.1, 1.1)),
         albedo: Sequence[float] = (0.8, 0.8, 0.8),
     ):
-        super().__init__(name, cameras, max_depth, record)
+        super().__init__(cameras, name, max_depth, record, albedo)
         if not isinstance(function, str) or not all(function.partition(":")):
             raise PrtError(
                 f"scene.function={function!r} must be module:function; "
@@ -59,9 +53,6 @@ class SdfScene(Scene):
             )
         self.function = function
         self._bounds = _box(bounds)
-        self.albedo = _numbers("albedo", albedo)
-        if not all(0.0 <= part <= 1.0 for part in self.albedo):
-            raise PrtError(f"scene.albedo={list(self.albedo)} must lie between 0 and 1; give linear RGB")
         self._found: tuple[Sdf | None, Distance] | None = None
         # what was named, and what it returned
         self._origins: list[Any] = []
@@ -101,37 +92,13 @@ class SdfScene(Scene):
         bounds = [list(corner) for corner in self.bounds]
         return {"scene": "sdf", **what, "bounds": bounds, "albedo": list(self.albedo)}
 
-    def description(self) -> dict[str, Any]:
-        """There is none.
-
-        Raises:
-            PrtError: always.
-        """
-        raise PrtError(
-            f"scene {self.name} is a signed distance field, it has no shapes for Mitsuba; "
-            "use task=relight_direct, or a mesh scene"
+    def without_surface(self, least: float, most: float) -> str:
+        return (
+            f"scene.function={self.function}: the function has no zero set inside scene.bounds; check "
+            f"that {list(map(list, self.bounds))} holds the shape, that distances are negative inside "
+            f"and positive outside (found {least:.3g} to {most:.3g}), and "
+            f"that no shape is thinner than a {PROBE}th of the box"
         )
-
-    def check(self) -> None:
-        """Look for a zero set on a grid of 64^3 points in the box; its cells' centres.
-
-        Raises:
-            PrtError: for distances that are NaN, or that do not change sign in the box.
-        """
-        distance, (low, high) = self.distance, self.bounds
-        middles = (torch.arange(PROBE) + 0.5) / PROBE
-        axes = [a + (b - a) * middles for a, b in zip(low, high, strict=True)]
-        with torch.no_grad():
-            values = torch.cat([distance(part) for part in torch.cartesian_prod(*axes).split(CHUNK)])
-        if values.isnan().any():
-            raise PrtError(f"scene.function={self.function} returns NaN inside scene.bounds; guard its roots")
-        if not float(values.min()) < 0.0 < float(values.max()):
-            raise PrtError(
-                f"scene.function={self.function}: the function has no zero set inside scene.bounds; check "
-                f"that {list(map(list, self.bounds))} holds the shape, that distances are negative inside "
-                f"and positive outside (found {float(values.min()):.3g} to {float(values.max()):.3g}), and "
-                f"that no shape is thinner than a {PROBE}th of the box"
-            )
 
     def _load_function(self) -> tuple[Sdf | None, Distance]:
         if self._found is None:
@@ -254,26 +221,13 @@ def _required(function: Callable[..., Any]) -> int:
 def _box(bounds: Any) -> tuple[Corner, Corner]:
     if isinstance(bounds, (str, bytes)) or not isinstance(bounds, Sequence) or len(bounds) != 2:
         raise PrtError(f"scene.bounds={bounds!r} must be two corners; give [[x, y, z], [x, y, z]]")
-    low, high = (_numbers("bounds", corner) for corner in bounds)
+    low, high = (numbers("bounds", corner) for corner in bounds)
     if not all(a < b for a, b in zip(low, high, strict=True)):
         raise PrtError(
             f"scene.bounds={[list(low), list(high)]}: the first corner must lie below the second in x, y "
             "and z; swap them"
         )
     return low, high
-
-
-def _numbers(name: str, value: Any) -> Corner:
-    """Three finite numbers of a setting."""
-    try:
-        if isinstance(value, (str, bytes)) or any(isinstance(part, (str, bool)) for part in value):
-            raise TypeError
-        x, y, z = (float(part) for part in value)
-    except (TypeError, ValueError):
-        raise PrtError(f"scene.{name}={value!r} must be 3 numbers; give [x, y, z]") from None
-    if not all(math.isfinite(part) for part in (x, y, z)):
-        raise PrtError(f"scene.{name}={value!r} must be finite; give 3 numbers")
-    return x, y, z
 
 
 def _one_line(error: Exception) -> str:

@@ -13,7 +13,7 @@ from torch import Tensor
 from prt.light.cubemap import direction_to_texel, face_directions, texel_solid_angles
 from prt.scene.frames import perpendicular
 from prt.scene.lightmap_points import OFFSET
-from prt.trace.surface import Surface
+from prt.trace.surface import Surface, shadowed
 
 #: rays traced at a time; bounds the memory
 RAYS = 1 << 20
@@ -57,7 +57,7 @@ def direct_light(
         used = (cosine > 0) & (pdf > 0)
         origin = position[many] + OFFSET * surface.extent * n
         free = torch.zeros_like(used)
-        free[used] = ~surface.occluded(origin[used], d[used])
+        free[used] = ~shadowed(surface, origin[used], d[used])
         phong = (lobe * (s + 2) / (s + 1))[:, None]
         value = (diffuse[many] / math.pi + specular[many] * phong) * cosine[:, None] * light.radiance(d)
         value = torch.where(free[:, None], value / pdf.clamp_min(1e-30)[:, None], 0.0)

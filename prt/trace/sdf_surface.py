@@ -11,6 +11,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from prt.errors import PrtError
+from prt.scene.area_sampling import by_area, triangle_areas
+from prt.scene.atlas import interpolate
 from prt.scene.capture import NEAR, camera_frame, facing, pixel_directions
 from prt.scene.gbuffer import GBuffer
 from prt.scene.mitsuba_setup import mitsuba
@@ -143,19 +145,15 @@ class SdfSurface:
         """
         vertex, face = self.mesh
         corners = vertex[face]
-        area = torch.linalg.cross(*(corners[:, k] - corners[:, 0] for k in (1, 2))).norm(dim=1)
-        total = area.double().cumsum(0)
+        area = triangle_areas(corners)
         generator = torch.Generator().manual_seed(seed)
         position = torch.zeros((count, 3))
         wanted = torch.arange(count)
         for round_number in range(ROUNDS):
             random = torch.rand((len(wanted), 3), generator=generator, dtype=torch.float64)
             # those that stand in for dropped ones come from anywhere: their own place is no good
-            place = (wanted + random[:, 0]) / count if round_number == 0 else random[:, 0]
-            triangle = torch.searchsorted(total, place * total[-1]).clamp(max=len(total) - 1)
-            root, share = random[:, 1].sqrt(), random[:, 2]
-            weights = torch.stack([1 - root, root * (1 - share), root * share], 1).float()
-            found, good = self._projected((weights[:, :, None] * corners[triangle]).sum(1))
+            triangle, weights = by_area(area, random, wanted if round_number == 0 else None)
+            found, good = self._projected(interpolate(corners[triangle], weights.float()))
             position[wanted[good]] = found[good]
             wanted = wanted[~good]
             self._counts["dropped_samples"] += len(wanted)

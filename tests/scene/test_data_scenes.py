@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
-from hydra.errors import InstantiationException
-from hydra.utils import instantiate
+from data_scenes import check_missing_data_is_named, scene
 
 from prt.errors import PrtError
 from prt.scene.capture import camera_rays, capture
@@ -17,15 +15,6 @@ from prt.scene.mitsuba_setup import mitsuba
 CONF = Path(__file__).resolve().parents[2] / "conf" / "scene"
 MESH_SCENES = ("four_animals", "armadillo")
 ROOMS = ("kitchen", "diffuse_kitchen", "bathroom")
-
-
-def scene(name: str, *overrides: str):
-    with initialize_config_dir(str(CONF), version_base=None):
-        config = compose(name, overrides=list(overrides))
-    try:
-        return instantiate(config)
-    except InstantiationException as error:
-        raise error.__cause__ or error from None
 
 
 @pytest.fixture(scope="module")
@@ -120,19 +109,13 @@ def test_bathroom_mirror_has_the_papers_roughness(loaded):
 
 @pytest.mark.parametrize("name", [*MESH_SCENES, *ROOMS])
 def test_missing_data_is_named(name, tmp_path, monkeypatch):
-    monkeypatch.setenv("PRT_DATA", str(tmp_path))
-    with pytest.raises(PrtError, match=f"{tmp_path}/.*") as caught:
-        scene(name).load()
-    assert "\n" not in str(caught.value)
-    monkeypatch.delenv("PRT_DATA")
-    with pytest.raises(PrtError, match="PRT_DATA is not set"):
-        scene(name).load()
+    check_missing_data_is_named(name, tmp_path, monkeypatch)
 
 
 def test_fingerprints_tell_settings_apart(loaded):
     plain = loaded["four_animals"][0].fingerprint()
     assert plain == scene("four_animals").fingerprint()
-    assert plain != scene("four_animals", "ground_roughness=0.2").fingerprint()
+    assert plain != scene("four_animals", "scene.ground_roughness=0.2").fingerprint()
 
 
 def test_scene_mitsuba_asks_for_a_path():

@@ -1,13 +1,9 @@
 """The scenes with meshes from PRT_DATA that lightmaps are baked for."""
 
-import os
-
 import numpy as np
 import pytest
-from hydra.errors import InstantiationException
-from hydra.utils import instantiate
+from data_scenes import need_data, scene
 
-from prt.bench.compose import compose
 from prt.errors import PrtError
 from prt.scene.capture import camera_rays, sensor_description
 from prt.scene.closing import mesh_data, open_edges
@@ -17,17 +13,9 @@ SURFACES = ("alcove", "lion")
 TRANSLUCENT = ("nefertiti", "armadillo_translucent")
 
 
-def scene(name: str, *overrides: str):
-    try:
-        return instantiate(compose([f"scene={name}", "budget=smoke", *overrides]).scene)
-    except InstantiationException as error:
-        raise error.__cause__ or error from None
-
-
 @pytest.fixture(scope="module")
 def data():
-    if not os.environ.get("PRT_DATA"):
-        pytest.skip("PRT_DATA is not set: scenes made from its meshes are not tested")
+    need_data()
 
 
 @pytest.fixture(scope="module")

@@ -4,10 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hydra.errors import InstantiationException
-from hydra.utils import instantiate
+from data_scenes import scene
 
-from prt.bench.compose import compose
 from prt.errors import PrtError
 from prt.scene import bending, cornell_box
 from prt.scene.capture import camera_rays
@@ -17,13 +15,6 @@ from prt.scene.mitsuba_setup import mitsuba
 from prt.scene.panels import block, joined
 
 LAMP = {"type": "point", "position": [0.0, 1.5, 0.5], "intensity": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}
-
-
-def scene(name: str, *overrides: str):
-    try:
-        return instantiate(compose([f"scene={name}", "budget=smoke", *overrides]).scene)
-    except InstantiationException as error:
-        raise error.__cause__ or error from None
 
 
 def volume(data) -> float:

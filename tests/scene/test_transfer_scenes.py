@@ -1,14 +1,11 @@
 """The scenes that transfer of direct light is learnt on: closed solids that stand where they should."""
 
 import dataclasses
-import os
 
 import numpy as np
 import pytest
-from hydra.errors import InstantiationException
-from hydra.utils import instantiate
+from data_scenes import check_missing_data_is_named, need_data, scene
 
-from prt.bench.compose import compose
 from prt.errors import PrtError
 from prt.scene import foliage, tableware, teaset
 from prt.scene.capture import camera_rays
@@ -22,17 +19,9 @@ WITH_DATA = ("teaset", "head", "dining_table")
 ALL = ("plants", *WITH_DATA)
 
 
-def scene(name: str, *overrides: str):
-    try:
-        return instantiate(compose([f"scene={name}", "budget=smoke", *overrides]).scene)
-    except InstantiationException as error:
-        raise error.__cause__ or error from None
-
-
 @pytest.fixture(scope="module")
 def data():
-    if not os.environ.get("PRT_DATA"):
-        pytest.skip("PRT_DATA is not set: scenes made from its meshes are not tested")
+    need_data()
 
 
 def volume(mesh) -> float:
@@ -331,13 +320,7 @@ def test_dining_table_is_cut_out_of_its_room(loaded):
 
 @pytest.mark.parametrize("name", WITH_DATA)
 def test_missing_data_is_named(name, tmp_path, monkeypatch):
-    monkeypatch.setenv("PRT_DATA", str(tmp_path))
-    with pytest.raises(PrtError, match=f"{tmp_path}/.*") as caught:
-        scene(name).load()
-    assert "\n" not in str(caught.value)
-    monkeypatch.delenv("PRT_DATA")
-    with pytest.raises(PrtError, match="PRT_DATA is not set"):
-        scene(name).load()
+    check_missing_data_is_named(name, tmp_path, monkeypatch)
 
 
 def test_dining_table_takes_no_other_scene(tmp_path):
