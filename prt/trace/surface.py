@@ -82,7 +82,7 @@ class Surface(Protocol):
 def shadowed(
     surface: Surface, origin: Float[Tensor, "N 3"], direction: Float[Tensor, "N 3"]
 ) -> Bool[Tensor, "N"]:
-    """:meth:`Surface.occluded`, by the surface's Dr.Jit code where it has that: fields are 20 times faster."""
+    """:meth:`Surface.occluded`, by the Dr.Jit code where there is some: 20 times faster for fields."""
     if surface.blocked is None:
         return surface.occluded(origin, direction)
     mi = mitsuba()
