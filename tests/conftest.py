@@ -18,6 +18,14 @@ def warm_cache(tmp_path_factory):
     return tmp_path_factory.mktemp("cache")
 
 
+@pytest.fixture(scope="module")
+def module_lights(maps, tmp_path_factory):
+    """Overrides that light with small maps; the cache is the module's own as long as this is in use."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PRT_CACHE", str(tmp_path_factory.mktemp("module_cache")))
+        yield tiny.lights(maps)
+
+
 @pytest.fixture
 def own_cache(warm_cache, monkeypatch):
     monkeypatch.setenv("PRT_CACHE", str(warm_cache))

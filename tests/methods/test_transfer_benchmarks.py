@@ -1,7 +1,6 @@
 """What the tables of Dhawal 2022 measure: every figure is there, and moves the way it must."""
 
 import pytest
-from tiny import lights, write_maps
 
 from prt.bench.compose import compose
 from prt.bench.run import build_task
@@ -21,11 +20,8 @@ METHOD = {
 
 
 @pytest.fixture(scope="module")
-def words(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("transfer")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PRT_CACHE", str(folder / "cache"))
-        yield [*SMALL, *lights(write_maps(folder / "maps"))]
+def words(module_lights):
+    return [*SMALL, *module_lights]
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ import dataclasses
 
 import pytest
 import torch
-from tiny import lights, write_maps
 
 from prt.bench.compose import compose
 from prt.bench.run import build_task
@@ -19,11 +18,8 @@ SMALL = ["task=relight_direct", "scene=four_shapes", "budget=smoke", "task.train
 
 
 @pytest.fixture(scope="module")
-def words(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("direct")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PRT_CACHE", str(folder / "cache"))
-        yield [*SMALL, *lights(write_maps(folder / "maps"))]
+def words(module_lights):
+    return [*SMALL, *module_lights]
 
 
 def task_of(words, *more):
