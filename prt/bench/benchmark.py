@@ -159,13 +159,30 @@ def sheet(spec: "Spec", results: pd.DataFrame, column: str = "value", title: str
     heads = [layout.metric_label(metric) for metric in metrics]
     keys = ["scene", "method", "variant", "component", *(["split"] if any(results["split"]) else [])]
     out = Sheet(title, keys, [("", heads)], [])
-    for place, rows in results.groupby(keys, sort=False):
+    for place, rows in _shared(results, keys).groupby(keys, sort=False):
         scene, method, *rest = (str(part) for part in place)  # pyright: ignore
         found = {row.metric: row for row in rows.itertuples()}
         cells = [Entry([figure(found[m], column) if m in found else layout.MISSING]) for m in metrics]
         lead = [spec.labels.get(scene, scene), spec.labels.get(method, method), *rest]
         out.rows.append((lead, cells))
     return out
+
+
+def _shared(results: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
+    """The results with figures of no component or split, as a size, repeated in every row they hold for."""
+    broad = [key for key in keys if key not in ("component", "split")]
+    places = results[keys].drop_duplicates().to_dict("records")
+    rows: list[tuple[int, dict[str, Any]]] = []
+    for one in results.to_dict("records"):
+        # a place of the same scene, method and variant, that is the same where this one says anything
+        held = [
+            (i, place)
+            for i, place in enumerate(places)
+            if all(place[key] == one[key] or (key not in broad and not one[key]) for key in keys)
+        ]
+        fuller = [(i, place) for i, place in held if any(place[key] != one[key] for key in keys)]
+        rows += [(i, {**one, **place}) for i, place in fuller or held]
+    return pd.DataFrame([row for _, row in sorted(rows, key=lambda at: at[0])], columns=results.columns)
 
 
 def figure(row: Any, column: str = "value") -> str:
@@ -183,7 +200,7 @@ def how(spec: "Spec", cfg: DictConfig, results: pd.DataFrame) -> str:
     packages = ", ".join(f"{name} {version}" for name, version in seen["packages"].items() if version)
     settings = [f"{key} {value}" for key, value in spec.benchmark.items() if key != "_target_"]
     return "\n".join([
-        f"- device: {'; '.join(dict.fromkeys(results['device']))}",
+        f"- device: {'; '.join(filter(None, dict.fromkeys(results['device']))) or seen['system']}",
         f"- system: {seen['system']}, Python {seen['python']}; {seen['time']}",
         f"- code: commit {commit}, `{spec.benchmark['_target_']}`",
         f"- packages: {packages}",

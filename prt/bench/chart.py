@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.axis import XAxis, YAxis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -204,8 +205,6 @@ def draw(results: pd.DataFrame, layout: Layout, settings: dict, note: str = "") 
 
 
 def _panel(axis: Axes, found: list[Point], looks: dict, x: Axis, y: Axis) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     by, up, better = x.scale, y.scale, (direction_of(x.metric), direction_of(y.metric))
     front = pareto(found, *better)
     where = "post" if better[0] == "lower" else "pre"
@@ -238,13 +237,25 @@ def _panel(axis: Axes, found: list[Point], looks: dict, x: Axis, y: Axis) -> Non
             elinewidth=0.9, mfc=colour if p.denoised else "white", mec=colour, capsize=0, zorder=3,
         )  # fmt: skip
     axis.set_xscale("log")
-    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-    axis.xaxis.set_minor_formatter(NullFormatter())
     axis.margins(x=0.15, y=0.2)
+    label_log(axis.xaxis)
     axis.grid(True, which="major", color="#e6e6e6", lw=0.6)
     axis.set_axisbelow(True)
     _better_arrow(axis, *better)
+
+
+def label_log(axis: XAxis | YAxis) -> None:
+    """Plain numbers along a logarithmic axis, as many as can be read beside each other."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    low, high = sorted(axis.get_view_interval())
+    decades = math.log10(high / low) if low > 0 else 9.0
+    subs = (
+        (1.0,) if decades > 2.2 else (1.0, 2.0, 5.0) if decades > 0.8 else (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+    )
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _better_arrow(axis: Axes, x_better: str, y_better: str) -> None:

@@ -4,6 +4,7 @@ Bands are the 95 % intervals of ``results.csv``, stars the published numbers. Th
 bytes, and charts that the YAML no longer lists are removed.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from prt.bench.chart import COLOURS, MARKERS, STYLE
+from prt.bench.chart import COLOURS, MARKERS, STYLE, label_log
 from prt.bench.curves import LINE_STYLES, Curve, Line, axis_key, lines
 from prt.bench.layout import Layout, split_name
 from prt.bench.results import measured_once
@@ -111,8 +112,17 @@ class Looks:
         return [*handles.values(), *(styles if len(styles) > 1 else []), *([star] if published else [])]
 
 
+def readable(values: list[float]) -> bool:
+    """Whether labels at all of these positive values stand apart on a logarithmic axis."""
+    if not values or values[0] <= 0:
+        return False
+    span = math.log(values[-1] / values[0])
+    gaps = [math.log(b / a) for a, b in itertools.pairwise(values)]
+    return len(values) <= TICKS and all(gap >= span / TICKS for gap in gaps)
+
+
 def _panel(axis: Axes, found: list[Line], looks: Looks, curve: Curve) -> None:
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
+    from matplotlib.ticker import FixedLocator, NullLocator
 
     if "x" in curve.log:
         axis.set_xscale("log")
@@ -128,13 +138,14 @@ def _panel(axis: Axes, found: list[Line], looks: Looks, curve: Curve) -> None:
         axis.fill_between(x, lo, hi, color=colour, alpha=0.15, lw=0, zorder=1)
         axis.plot([x for x, _ in line.published], [y for _, y in line.published], color=colour, ls="",
                   marker="*", ms=9, mfc="white", zorder=4)  # fmt: skip
-    values = sorted({p[0] for line in looks.found for p in [*line.measured, *line.published]})
-    if "x" in curve.log and len(values) <= TICKS:
-        axis.xaxis.set_major_locator(FixedLocator(values))
-        axis.xaxis.set_minor_locator(NullLocator())
+    if "y" in curve.log:
+        label_log(axis.yaxis)
     if "x" in curve.log:
-        axis.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-        axis.xaxis.set_minor_formatter(NullFormatter())
+        label_log(axis.xaxis)
+        values = sorted({p[0] for line in looks.found for p in [*line.measured, *line.published]})
+        if readable(values):
+            axis.xaxis.set_major_locator(FixedLocator(values))
+            axis.xaxis.set_minor_locator(NullLocator())
     axis.grid(True, which="major", color="#e6e6e6", lw=0.6)
     axis.set_axisbelow(True)
 

@@ -108,7 +108,7 @@ def _row(
     references: References,
 ) -> Row:  # fmt: skip
     scene, split, component = entry["scene"], entry["split"], entry["component"]
-    pictures, psnr, reference, exposure = {}, {}, None, 1.0
+    pictures, psnr, reference, truth, exposure = {}, {}, None, np.empty(0), 1.0
     here = images[
         (images["scene"] == scene) & (images["split"] == split) & (images["view"] == view)
         & (images["lighting"] == lighting) & (images["component"] == component) & (images["metric"] == "psnr")
@@ -124,15 +124,20 @@ def _row(
         if denoised and not path.exists():
             denoised, path = False, cell.run.image_file(split, view, lighting, component, False)
         linear = np.nan_to_num(read_exr(path).numpy(), nan=0.0, posinf=0.0, neginf=0.0)
-        if reference is None:
-            images_of = references(cell, split, view, lighting)
-            if component not in images_of:
-                known = ", ".join(images_of)
-                raise PrtError(f"figure: {view} has no component {component!r}; choose from {known}")
-            truth = np.asarray(images_of[component])
-            exposure = exposure_of(truth)
-            reference = to_srgb(truth, exposure)
+        images_of = references(cell, split, view, lighting)
+        if component not in images_of:
+            known = ", ".join(images_of)
+            raise PrtError(f"figure: {view} has no component {component!r}; choose from {known}")
+        own_truth = np.asarray(images_of[component])
         label = layout.method_label(method, variant)
+        if reference is None:
+            truth, exposure = own_truth, exposure_of(own_truth)
+            reference = to_srgb(truth, exposure)
+        elif own_truth.shape != truth.shape or not np.allclose(own_truth, truth, rtol=1e-3, atol=1e-4):
+            raise PrtError(
+                f"{label} has another reference than the columns before it; give its scene a configuration "
+                "and a row of its own"
+            )
         pictures[label] = to_srgb(linear, exposure)
         own = here[
             (here["method"] == method)

@@ -17,7 +17,7 @@ from prt.metrics.registry import METRICS
 FAILED, MISSING, UNAVAILABLE = "failed", "–", "n/a"
 #: what a split is called where its own name says too little
 SPLIT_NAMES = {
-    "near": "near views", "far": "far views",
+    "near": "near views", "far": "far views", "diffuse": "diffuse", "glossy": "glossy",
     "points": "point lights", "spots": "spot lights", "path": "a moving light",
 }  # fmt: skip
 PUBLISHED_TITLE = "Published (the paper's own scenes, renderer and GPU; not comparable in absolute terms)"

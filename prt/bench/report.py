@@ -130,10 +130,10 @@ def draw_pictures(spec, plan, cells, images, results, references) -> list[str]:
         (folder / name).unlink(missing_ok=True)
     notes = []
     drawn = chart.draw(results, plan, spec.chart, chart_note(cells))
-    if drawn is None:
-        notes.append("no chart: no finished run has both of its figures")
-    else:
+    if drawn is not None:
         chart.write(drawn, folder)
+    elif spec.chart or "indirect" in plan.components:  # the default chart's
+        notes.append("no chart: no finished run has both of its figures")
     notes += curve_charts.write_all(spec.curves, results, plan, folder, plan.splits[0])
     notes += pictures.missing(spec.pictures, folder)
     if references is not None and spec.figure is not None:

@@ -23,6 +23,9 @@ from prt.trace.direct_light import direct_light
 from prt.trace.surface import MeshSurface, SurfacePoints
 from prt.trace.transfer import bake
 
+#: upper edges of the bins of distance to the nearest other surface, shares of the extent; fewest points
+DISTANCES, FEWEST = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.5, 1.0), 30
+
 
 def fitted(task: Any, method: dict[str, Any], **changes: Any) -> LearntSh:
     """The method with some settings changed, fitted to the task's points."""
@@ -87,20 +90,24 @@ def wrong_normals(task: Any, model: LearntSh) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def near_other_surfaces(task: Any, model: LearntSh, bins: int = 6) -> list[dict[str, Any]]:
+def near_other_surfaces(task: Any, model: LearntSh) -> list[dict[str, Any]]:
     """Error by the distance to the nearest other surface, in front or behind: where light leaks through.
 
-    Points are put into bins of equal number; ``variant`` names the median distance of each, as a share of
-    the extent. ``error/leak`` is the signed error of the mean visibility: above zero, light where none is.
+    Points are put into bins; ``variant`` names the upper edge of each, as a share of the extent; what is
+    further away than the last is in the last. ``error/leak`` is the signed error of the mean visibility:
+    above zero, light where none is.
     """
     data = task.held_out()
     position, normal = data.points.position, data.points.normal
     found = transfer_at(model, position, normal)
     distance = other_surface(task.surface, position, normal) / task.surface.extent
-    order = distance.argsort()
+    bins = torch.bucketize(distance, torch.tensor(DISTANCES[:-1]))
     rows = []
-    for part in order.chunk(bins):
-        variant = f"distance={float(distance[part].median()):.3g}"
+    for number, edge in enumerate(DISTANCES):
+        part = (bins == number).nonzero()[:, 0]
+        if len(part) < FEWEST:
+            continue
+        variant = f"distance={edge:g}"
         rows.append(row("error/relative", relative(found[part], data.transfer[part]), variant, n=len(part)))
         leak = (found[part, 0] - data.transfer[part, 0]).mean() / data.transfer[:, 0].square().mean().sqrt()
         rows.append(row("error/leak", float(leak), variant, n=len(part)))

@@ -96,6 +96,7 @@ class SdfSurface:
             "cells": self.cells,
             "steps": self.steps,
             "epsilon": EPSILON,
+            "start": "half its value",  # see sphere_tracing.start_threshold
         }
 
     # --- samples -----------------------------------------------------------------------------------
@@ -172,13 +173,14 @@ class SdfSurface:
         index = torch.arange(len(start))
         for number in range(PROJECTIONS + 1):
             distance, slope = sphere_tracing.gradients(self.scene.distance, position[index])
-            there = distance.abs() < TOLERANCE * self.epsilon
+            # in lengths, not in values: a bound may grow slower than the distance
+            there = distance.abs() < TOLERANCE * self.epsilon * slope.norm(dim=1).clamp(min=0.01, max=1.0)
             good[index[there]] = True
             index, distance, slope = index[~there], distance[~there], slope[~there]
             if len(index) == 0 or number == PROJECTIONS:
                 break
             # a gradient that is nearly 0 says nothing about how far to go
-            step = distance[:, None] * slope / slope.square().sum(1, keepdim=True).clamp(min=1e-2)
+            step = distance[:, None] * slope / slope.square().sum(1, keepdim=True).clamp(min=1e-4)
             position[index] -= step.nan_to_num(0.0)
         near = (position - start).norm(dim=1) < cell
         within = ((position >= low) & (position <= high)).all(1)
@@ -211,21 +213,28 @@ class SdfSurface:
         near, far = _interval(self._bounds, origin, direction)
         sdf, epsilon = self.scene.sdf, self.epsilon
 
+        def at(t):
+            return mi.Float(sdf(*(o + t * d for o, d in zip(origin, direction, strict=True))))
+
+        # as sphere_tracing.start_threshold: the surface they leave is not what they meet
+        first = at(near)
+        enough = dr.select(first > 0, dr.minimum(0.5 * first, epsilon), epsilon)
+
         def step(t, value, left):
-            value = mi.Float(sdf(*(o + t * d for o, d in zip(origin, direction, strict=True))))
+            value = at(t)
             return t + dr.maximum(value, 0.0), value, left - 1
 
         def under_way(t, value, left):
-            return (value >= epsilon) & (t <= far) & (left > 0)
+            return (value >= enough) & (t <= far) & (left > 0)
 
         # misses of the box get no step at all
         start = dr.select(near < far, dr.inf, -dr.inf)
         state = (mi.Float(near), mi.Float(start), mi.UInt32(self.steps) + dr.zeros(mi.UInt32, dr.width(near)))
         t, value, left = dr.while_loop(state, under_way, step, label="sphere tracing")
         entered = near < far
-        exhausted = entered & (left == 0) & (value >= epsilon) & (t <= far)
+        exhausted = entered & (left == 0) & (value >= enough) & (t <= far)
         dr.scatter_add(self._exhausted, mi.UInt32(1), mi.UInt32(0), exhausted)
-        return entered & ((value < epsilon) | (exhausted & (value < NEARLY * epsilon)))
+        return entered & ((value < enough) | (exhausted & (value < NEARLY * epsilon)))
 
     def capture(self, view: View) -> GBuffer:
         """What a camera sees; the colour is the scene's albedo, everywhere diffuse, and uv is 0.

@@ -56,6 +56,7 @@ def sphere_trace(
     steps: int = STEPS,
     pack: float = PACK,
     chunk: int | None = None,
+    leaving: bool = False,
 ) -> Trace:
     """Follow rays from ``near`` to ``far``, both in lengths of the unit ``direction``.
 
@@ -67,6 +68,10 @@ def sphere_trace(
         steps: evaluations of the distance a ray may take.
         pack: share of rays under way at which they are packed anew: 0 never packs, 1 always.
         chunk: rays at a time; by default :data:`CHUNK`, or :data:`GPU_CHUNK`.
+        leaving: rays start next to the surface and must not find it where they start: one has arrived at
+            half the value it started with, where that is less than ``epsilon``. A bound may grow much
+            slower than the true distance, and then an origin that lies well off the surface has a value
+            that says it has arrived.
 
     Raises:
         PrtError: for an ``epsilon`` that is not above 0, or fewer than 1 step.
@@ -83,8 +88,13 @@ def sphere_trace(
     with torch.no_grad():
         parts = [
             _trace(
-                distance, *(v[k : k + chunk] for v in (origin, direction, near, far)), epsilon, steps, pack
-            )
+                distance,
+                *(v[k : k + chunk] for v in (origin, direction, near, far)),
+                epsilon,
+                steps,
+                pack,
+                leaving,
+            )  # fmt: skip
             for k in range(0, count, chunk)
         ]
     if not parts:
@@ -102,6 +112,7 @@ def _trace(
     epsilon: float,
     steps: int,
     pack: float,
+    leaving: bool,
 ) -> Trace:
     t = near.clone()
     hit, exhausted = (torch.zeros_like(t, dtype=torch.bool) for _ in range(2))
@@ -111,13 +122,16 @@ def _trace(
     along, end = t[index], far[index]
     under_way = torch.ones_like(index, dtype=torch.bool)
     last = torch.full_like(along, torch.inf)
-    for _ in range(steps):
+    enough = torch.full_like(along, epsilon)
+    for number in range(steps):
         if len(index) == 0:
             break
         # an ended ray that is not yet packed away stays where it is
         value = distance(torch.addcmul(o, d, along).T)
+        if leaving and number == 0:
+            enough = start_threshold(value, epsilon)
         last = torch.where(under_way, value, last)
-        arrived = under_way & (value < epsilon)
+        arrived = under_way & (value < enough)
         # the rest of the way of a ray that has arrived is shorter than epsilon
         along = torch.where(under_way, along + value.clamp(min=0.0), along)
         under_way = under_way & ~arrived & (along <= end)
@@ -126,15 +140,20 @@ def _trace(
             done = ~under_way
             where = index[done]
             t[where] = along[done]
-            hit[where] = last[done] < epsilon
+            hit[where] = last[done] < enough[done]
             keep = under_way.nonzero()[:, 0]
-            index, along, end, last = index[keep], along[keep], end[keep], last[keep]
+            index, along, end, last, enough = (v[keep] for v in (index, along, end, last, enough))
             o, d = o.index_select(1, keep), d.index_select(1, keep)
             under_way = under_way[keep]
     t[index] = along
     exhausted[index] = under_way
-    hit[index] = torch.where(under_way, last < NEARLY * epsilon, last < epsilon)
+    hit[index] = torch.where(under_way, last < NEARLY * epsilon, last < enough)
     return Trace(t, hit, exhausted)
+
+
+def start_threshold(value: Float[Tensor, "N"], epsilon: float) -> Float[Tensor, "N"]:
+    """The distance at which rays that start at ``value`` have arrived; one that starts inside has."""
+    return torch.where(value > 0, (0.5 * value).clamp(max=epsilon), epsilon)
 
 
 def box_interval(
@@ -163,11 +182,11 @@ def occluded(
 
     Args:
         bounds: a box that holds the whole surface; rays are followed within it only.
-        origin: off the surface already, by more than ``epsilon``.
+        origin: off the surface already.
         epsilon, steps, chunk: as in :func:`sphere_trace`.
     """
     near, far = box_interval(bounds, origin, direction)
-    found = sphere_trace(distance, origin, direction, near, far, epsilon, steps, chunk=chunk)
+    found = sphere_trace(distance, origin, direction, near, far, epsilon, steps, chunk=chunk, leaving=True)
     return found.hit, found.exhausted
 
 

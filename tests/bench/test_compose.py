@@ -36,7 +36,7 @@ def test_everything_is_resolved_and_named():
         ("methd=fake", "unknown setting 'methd'; did you mean method"),
         ("sed=1", "unknown setting 'sed'; did you mean seed"),
         ("run.checkpoint_second=3", "did you mean run.checkpoint_seconds"),
-        ("method=fakee", "method=fakee does not exist; did you mean fake.*choose from fake"),
+        ("method=fakee", "method=fakee does not exist; did you mean fake.*choose from .*fake, "),
         ("budget=huge", "budget=huge does not exist.*gpu, laptop, paper, smoke"),
         ("budget=paper", "task.resolution: budget=paper has no value here; choose from smoke, laptop"),
         ("foo", "cannot read 'foo': an override is key=value"),

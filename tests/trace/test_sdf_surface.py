@@ -123,6 +123,22 @@ def test_dr_jit_says_the_same_as_torch():
     assert dr_blocked(surface, *away).tolist() == surface.occluded(*away).tolist() == [False, True]
 
 
+def flat_sphere(x, y, z):
+    """A bound whose gradient is 0.05: off the surface by an offset, it is still below epsilon."""
+    return 0.05 * sphere(x, y, z)
+
+
+def test_a_bound_that_grows_slowly_does_not_shadow_itself():
+    surface = SdfSurface(scene(flat_sphere))
+    origin, direction = leaving(surface, 400)
+    assert (surface.scene.distance(origin) < surface.epsilon).all()
+    assert not surface.occluded(origin, direction).any()
+    assert not dr_blocked(surface, origin, direction).any()
+    inward = -torch.nn.functional.normalize(origin, dim=1)
+    assert surface.occluded(origin, inward).all()
+    assert dr_blocked(surface, origin, inward).all()
+
+
 def test_both_count_the_rays_that_meet_the_step_limit():
     torch_surface, dr_surface = (SdfSurface(scene(torus), cells=32, steps=8) for _ in range(2))
     origin, direction = leaving(torch_surface, 5000)
