@@ -107,7 +107,8 @@ def time_run(folder: RunFolder, cfg: DictConfig, task: Any, method: Any) -> None
 
     The item is ``task.timed_item()`` where the task has that, else the first. A method with
     ``timed_parts(lighting, gbuffer) -> dict[str, Callable]`` has each of them timed by itself; their names
-    are kept in ``parts``, in the method's own order.
+    are kept in ``parts``, in the method's own order. One with ``sized_parts() -> dict[str, int]`` has the
+    bytes of its parts kept in ``sizes``.
 
     Raises:
         PrtError: if a part has the name of something else in timing.json.
@@ -139,6 +140,8 @@ def time_run(folder: RunFolder, cfg: DictConfig, task: Any, method: Any) -> None
             found["gbuffer"] = time_gbuffer(scene, view, cfg.run.repetitions)
     if parts:
         found["parts"] = list(parts)
+    if hasattr(method, "sized_parts"):
+        found["sizes"] = method.sized_parts()
     folder.add_timing(**found, **machine, bytes=int(method.nbytes()), pixels=len(gbuffer))
 
 

@@ -216,6 +216,8 @@ def _cost_rows(cells: list[Cell]) -> list[dict[str, Any]]:
         for name, metric in (("fit", "time/fit"), ("bake", "time/bake"), ("bytes", "bytes/model")):
             if timing.get(name) is not None:
                 add(cell, cell.variant, metric, timing[name])
+        for name, size in timing.get("sizes", {}).items():
+            add(cell, cell.variant, f"bytes/{name}", size)
     rows = []
     for key, figures in found.items():
         value = float(pd.Series([f[0] for f in figures]).median())

@@ -32,8 +32,9 @@ def cost_columns(results: pd.DataFrame, layout: Layout) -> list[tuple[str, str, 
     known = [metric for metric, _, _ in COSTS]
     parts = [m for m in seen if is_cost(m) and m.startswith("time/") and m not in known]
     place = [metric for metric, _, _ in columns].index("time/shade") + 1
-    columns[place:place] = [(m, f"{m.partition('/')[2].replace('_', ' ')} (ms)", 1e3) for m in parts]
-    return columns
+    columns[place:place] = [(m, f"{_part_name(m)} (ms)", 1e3) for m in parts]
+    sizes = [m for m in seen if m.startswith("bytes/") and m not in known]
+    return columns + [(m, f"{_part_name(m)} (MB)", 1e-6) for m in sizes]
 
 
 def cost_sheet(results: pd.DataFrame, layout: Layout) -> Sheet:
@@ -45,7 +46,9 @@ def cost_sheet(results: pd.DataFrame, layout: Layout) -> Sheet:
         "spent once per lighting, fit once per scene. Compare only figures of one command on one machine."
     )
     known = [metric for metric, _, _ in COSTS]
-    parts = [head.removesuffix(" (ms)") for metric, head, _ in columns if metric not in known]
+    parts = [
+        head.removesuffix(" (ms)") for metric, head, _ in columns if metric not in known and "(ms)" in head
+    ]
     if any(metric == "time/bake" for metric, _, _ in columns):
         sheet.notes.append(
             "bake is spent once per scene on the data that a method is fitted to; data found in the cache "

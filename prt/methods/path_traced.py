@@ -41,7 +41,7 @@ class PathTraced:
     """
 
     component = Component.INDIRECT
-    tasks = frozenset({"relight_indirect"})
+    tasks = frozenset({"relight_indirect", "animate"})
 
     def __init__(self, frame_seconds: float | None, samples: int | None = None, denoise: bool = False):
         if (frame_seconds is None) == (samples is None):
@@ -55,13 +55,15 @@ class PathTraced:
             raise PrtError(f"method.samples={samples!r} must be an integer from 1 to {MOST_SAMPLES}")
         self.frame_seconds, self.samples, self.denoise = frame_seconds, samples, denoise
         self.scene: Any = None
+        self.task: Any = None
         self.seed = FIRST_SEED
 
     # ---- fitting
 
     def fit(self, task: Any, log: FitLog, seed: int, device: str) -> None:
         """Measure how many samples per pixel fit into ``frame_seconds``, on the task's first test view."""
-        self.scene, self.seed = task.scene, FIRST_SEED + seed
+        self._use(task)
+        self.seed = FIRST_SEED + seed
         kept = log.resume()
         log.start(1, "path_traced")
         if kept is not None:
@@ -79,16 +81,21 @@ class PathTraced:
         log.step(1, samples=float(self.samples))
         log.save(1, {"samples": self.samples})
 
+    def _use(self, task: Any) -> None:
+        self.scene, self.task = task.scene, task
+        if task.name == "animate":
+            self.component = Component.FULL
+
     # ---- rendering
 
-    def light(self, lighting: Float[Tensor, "6 R R 3"]) -> Float[Tensor, "6 R R 3"]:
-        """Nothing is precomputed: the code is the lighting."""
+    def light(self, lighting: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
+        """Nothing is precomputed: the code is the lighting, or the state of a scene that moves."""
         return lighting.detach().cpu()
 
     def shade(
-        self, gbuffer: GBuffer, code: Float[Tensor, "6 R R 3"], v: Tensor | None = None
+        self, gbuffer: GBuffer, code: Float[Tensor, "..."], v: Tensor | None = None
     ) -> Float[Tensor, "N 3"]:
-        """Indirect radiance of the pixels of the G-buffer's view.
+        """Indirect radiance of the pixels of the G-buffer's view; full radiance in task animate.
 
         Raises:
             PrtError: for a G-buffer that belongs to no image, or before ``fit`` or ``load``.
@@ -99,8 +106,11 @@ class PathTraced:
             raise PrtError("path_traced renders whole images: give the G-buffer of a view, not single points")
         if len(gbuffer) == 0:
             return torch.zeros((0, 3))
-        depth = self.scene.max_depth
-        image = render(self.scene, gbuffer.view, code, self.samples, depth, self.seed)["indirect"]
+        if self.component is Component.FULL:
+            image = self.task.render(code, gbuffer.view, self.samples, self.seed)
+        else:
+            depth = self.scene.max_depth
+            image = render(self.scene, gbuffer.view, code, self.samples, depth, self.seed)["indirect"]
         if self.denoise:
             image = denoise(image, **gbuffer.to("cpu").guides())
         return image.reshape(-1, 3)[gbuffer.hit.cpu()]
@@ -116,7 +126,8 @@ class PathTraced:
 
     def load(self, path: Path, task: Any, device: str) -> None:
         state = load_file(path)
-        self.scene, self.samples, self.seed = task.scene, int(state["samples"]), int(state["seed"])
+        self._use(task)
+        self.samples, self.seed = int(state["samples"]), int(state["seed"])
 
 
 def affordable_samples(frame: Callable[[int], None], seconds: float) -> int:

@@ -1,0 +1,168 @@
+"""Active exploration (Diolatzis et al. 2022): a network that makes pixels from surface points and the state,
+fitted to path-traced images whose states are chosen by a Markov chain toward where it is wrong.
+
+As in the comparison of Su 2024 (section 6.1), specular surfaces are followed by rays. What that paper leaves
+open of its rival is decided here: an image is traced at every state that the chain proposes and all are kept,
+so that equal time means equal effort; the chain decides where it goes from there.
+"""
+
+import dataclasses
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from prt.errors import PrtError
+from prt.methods.base import FitLog
+from prt.methods.radiance_field import RadianceField, pixel_rays
+from prt.methods.state_chain import StateChain
+from prt.methods.training import Average, fit_loop, warm_up_then_cosine
+from prt.nn.pixel_generator import PixelGenerator
+from prt.nn.radiance_network import RadiancePoints
+from prt.progress import track
+from prt.trace.radiance_rays import Answers, follow
+
+#: seeds of training images, apart from those of references
+FIRST_SEED = 5_000_000
+
+
+@dataclasses.dataclass
+class Example:
+    """One training image: its state, what its rays met, and its path-traced pixels."""
+
+    v: Float[Tensor, "n"]
+    answers: Answers
+    target: Float[Tensor, "P 3"]
+
+
+class ActiveExploration(RadianceField):
+    """The method; settings as in ``conf/method/active_exploration.yaml``.
+
+    Args:
+        width, hidden_layers, position_frequencies: of the pixel generator.
+        training: steps, images (in all), size (pixels a side), spp, batch (images a step), rate, average,
+            small_step and large_steps (of the chain), uniform (true: no chain, uniform states).
+        pixel_samples, fxaa, right_hand: as in :class:`~prt.methods.radiance_field.RadianceField`.
+    """
+
+    net: PixelGenerator
+
+    def __init__(
+        self,
+        width: int,
+        hidden_layers: int,
+        position_frequencies: int,
+        training: dict[str, Any],
+        pixel_samples: int = 1,
+        fxaa: bool = True,
+        right_hand: int = 0,
+    ):
+        super().__init__(pixel_samples, fxaa, right_hand)
+        for name in ("steps", "images", "size", "spp", "batch"):
+            if not isinstance(training[name], int) or training[name] < 1:
+                raise PrtError(f"method.training.{name}={training[name]!r} must be an integer of at least 1")
+        self.sizes = {
+            "width": width, "hidden_layers": hidden_layers, "position_frequencies": position_frequencies,
+        }  # fmt: skip
+        self.training = training
+
+    def build(self, task: Any, device: str) -> None:
+        self.stage = task.stage
+        self.net = PixelGenerator(task.bounds, task.dimension, **self.sizes).to(device)
+        self.device = device
+
+    def at(self, v: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
+        return v
+
+    def values(self, points: RadiancePoints, state: Float[Tensor, "n"]) -> Float[Tensor, "N 3"]:
+        return self.net(points, state)
+
+    # ---- fitting
+
+    def fit(self, task: Any, log: FitLog, seed: int, device: str) -> None:
+        """Alternate between tracing an image where the chain goes and steps on all images so far."""
+        torch.manual_seed(seed)
+        self.build(task, device)
+        settings = self.training
+        generator = torch.Generator().manual_seed(seed)
+        explorer = Explorer(self, task, generator)
+        average = Average(self.net, settings["average"]) if settings["average"] else None
+        optimiser = torch.optim.Adam(self.net.parameters(), lr=settings["rate"], fused=True)
+        modules = {"net": self.net, "explorer": explorer}
+        fit_loop(
+            log, "active_exploration", settings["steps"], generator, modules, explorer.loss, optimiser,
+            warm_up_then_cosine(), average,
+        )  # fmt: skip
+
+
+class Explorer:
+    """The images so far and the chain that adds to them; part of what a checkpoint keeps."""
+
+    def __init__(self, method: ActiveExploration, task: Any, generator: torch.Generator):
+        self.method, self.task, self.generator = method, task, generator
+        settings = method.training
+        self.chain = StateChain(
+            task.dimension + 1, generator, settings["small_step"], settings["large_steps"]
+        )
+        self.views = task.training_views(64, settings["size"])
+        self.places: list[list[float]] = []
+        self.examples: list[Example] = []
+        self.step = 0
+
+    # resumed by tracing the same images again: their states and seeds say all
+
+    def state_dict(self) -> dict[str, Any]:
+        places = torch.tensor(self.places).reshape(len(self.places), self.task.dimension + 1)
+        return {"step": self.step, "places": places}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.step = int(state["step"])
+        self.places = state["places"].tolist()
+        self.examples = [
+            self._traced(torch.tensor(u), number)
+            for number, u in enumerate(track(self.places, "training images", len(self.places)))
+        ]
+
+    def loss(self) -> Tensor:
+        self.step += 1
+        settings = self.method.training
+        due = 1 + (settings["images"] - 1) * (self.step - 1) // settings["steps"]
+        while len(self.examples) < due:
+            self._explore()
+        which = torch.randint(len(self.examples), (settings["batch"],), generator=self.generator)
+        # the newest image takes part in every step until the next one comes
+        which[0] = len(self.examples) - 1
+        return torch.stack([self._error(self.examples[int(i)]).mean() for i in which]).mean()
+
+    def _explore(self) -> None:
+        settings = self.method.training
+        if settings["uniform"]:
+            u = torch.rand(self.task.dimension + 1, generator=self.generator)
+        else:
+            u = self.chain.propose()
+        example = self._traced(u, len(self.examples))
+        self.examples.append(example)
+        self.places.append(u.tolist())
+        if not settings["uniform"]:
+            with torch.no_grad():
+                self.chain.accept(u, float(self._error(example).mean()))
+
+    @torch.no_grad()
+    def _traced(self, u: Float[Tensor, "m"], number: int) -> Example:
+        settings = self.method.training
+        v, view = u[:-1], self.views[min(int(u[-1] * len(self.views)), len(self.views) - 1)]
+        target = self.task.render(v, view, settings["spp"], FIRST_SEED + number)
+        count = view.width * view.height
+        answers = follow(self.method.stage.mi_scene, pixel_rays(view, 1), count, number)
+        return Example(v, answers, target.reshape(-1, 3))
+
+    def _error(self, example: Example) -> Float[Tensor, "P 3"]:
+        """Squared difference in log1p: lamps and highlights would drown all else."""
+        device = self.method.device
+        points = example.answers.points.to(device)
+        values = self.method.values(points, example.v.to(device))
+        known = example.answers.known.to(device)
+        image = known.index_add(0, points.path, points.weight * values)
+        target = example.target.to(device)
+        return (torch.log1p(image.clamp(min=0)) - torch.log1p(target)).square()

@@ -1,0 +1,317 @@
+"""Dynamic neural radiosity (Su et al. 2024): a network that solves the rendering equation for all states.
+
+Trained without images: on random surface points in random states, what the network says of a point (the
+left-hand side) has to equal what the rendering equation makes of what the network says of the surfaces around
+it (the right-hand side). The encodings that it is compared with (K-planes, a 4D hash grid, the state as mere
+input, no state at all) are settings of the same method: all else is equal then.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from prt.errors import PrtError
+from prt.methods.base import FitLog
+from prt.methods.radiance_field import CHUNK, RadianceField
+from prt.methods.training import Average, fit_loop
+from prt.nn.hashgrid import HashGrid
+from prt.nn.hashgrid_4d import HashGrid4d
+from prt.nn.kplanes import KPlanes
+from prt.nn.radiance_network import RadianceNetwork, RadiancePoints, StateCode
+from prt.nn.scene_planes import PlainState, ScenePlanes, StateNetwork
+from prt.scene.gbuffer import GBuffer
+from prt.trace.radiance_rays import right_hand_side
+from prt.trace.surface_states import SurfaceStates
+
+ENCODINGS = ("decomposed", "conditioned", "kplanes", "hashgrid_4d", "static")
+LOSSES = ("plain", "relative")
+#: radiance this many times what the scene's own lights reflect once: no scene has it, the fit runs away
+DIVERGED = 1e3
+#: parts of the fit after each of which the right-hand side gets twice the directions (section 4.3)
+FIFTHS = 5
+
+
+class Grid(torch.nn.Module):
+    """f_X, a 3D grid at several resolutions that knows nothing of the state (equation 4)."""
+
+    def __init__(self, settings: dict[str, Any], bounds, generator: torch.Generator):
+        super().__init__()
+        self.grid = HashGrid(**settings, bounds=bounds, generator=generator)
+        self.outputs = self.grid.out_features
+
+    def forward(self, position: Float[Tensor, "N 3"]) -> Float[Tensor, "N C"]:
+        return self.grid(position)
+
+
+class DynamicRadiosity(RadianceField):
+    """The method; settings as in ``conf/method/dynamic_radiosity.yaml``.
+
+    Args:
+        encoding: ``decomposed`` (f_X, f_XV and f_V), ``conditioned`` (f_X, and v as an input), ``kplanes``,
+            ``hashgrid_4d`` (one variable), or ``static``: f_X, fitted to the one state ``static_state``.
+        grid: of f_X; levels, features, log2_table, base_resolution, scale.
+        planes: of f_XV, and of kplanes; levels (0 for none), features, base_resolution, scale.
+        state: of f_V; width, hidden_layers, octaves. Width 0 for none.
+        direction_degree, normal_degree, albedo_bins, width, hidden_layers: of the network.
+        training: steps, batch, samples, adaptive, loss, detach, epsilon, rate, grid_rate, decay, average,
+            sampling, emitters.
+        static_state: of ``static``, one value a variable; null for 0.5 each.
+        pixel_samples, fxaa, right_hand: as in :class:`~prt.methods.radiance_field.RadianceField`.
+
+    Raises:
+        PrtError: for a setting out of range.
+    """
+
+    net: RadianceNetwork
+
+    def __init__(
+        self,
+        grid: dict[str, Any],
+        planes: dict[str, Any],
+        state: dict[str, Any],
+        direction_degree: int,
+        normal_degree: int,
+        albedo_bins: int,
+        width: int,
+        hidden_layers: int,
+        training: dict[str, Any],
+        encoding: str = "decomposed",
+        pixel_samples: int = 1,
+        fxaa: bool = True,
+        right_hand: int = 0,
+        static_state: list[float] | None = None,
+    ):
+        super().__init__(pixel_samples, fxaa, right_hand)
+        if encoding not in ENCODINGS:
+            raise PrtError(f"method.encoding={encoding!r} is not one of {', '.join(ENCODINGS)}")
+        if training["loss"] not in LOSSES:
+            raise PrtError(f"method.training.loss={training['loss']!r} is not one of {', '.join(LOSSES)}")
+        for name in ("steps", "batch", "samples"):
+            if not isinstance(training[name], int) or training[name] < 1:
+                raise PrtError(f"method.training.{name}={training[name]!r} must be an integer of at least 1")
+        self.encoding, self.grid, self.planes, self.state = encoding, grid, planes, state
+        self.sizes = {
+            "direction_degree": direction_degree, "normal_degree": normal_degree, "albedo_bins": albedo_bins,
+            "width": width, "hidden_layers": hidden_layers,
+        }  # fmt: skip
+        self.training, self.static_state = training, static_state
+
+    # ---- the network
+
+    def build(self, task: Any, device: str, seed: int = 0) -> None:
+        self.stage = task.stage
+        self.net = self.network(task.bounds, task.dimension, seed).to(device)
+        self.device = device
+
+    def network(self, bounds, dimension: int, seed: int = 0) -> RadianceNetwork:
+        """The untrained network of a box and a number of variables.
+
+        Raises:
+            PrtError: for sizes out of range, or an encoding that cannot do that many variables.
+        """
+        generator = torch.Generator().manual_seed(seed)
+        settings = {"bounds": bounds, "generator": generator}
+        encodings: list[torch.nn.Module] = []
+        if self.encoding == "hashgrid_4d":
+            encodings.append(HashGrid4d(dimension, **self.grid, **settings))
+        elif self.encoding != "kplanes":
+            encodings.append(Grid(self.grid, **settings))
+        state = None
+        if dimension and self.encoding == "kplanes":
+            encodings.append(KPlanes(dimension, **self.planes, **settings))
+        elif dimension and self.encoding == "decomposed":
+            if self.planes["levels"]:
+                encodings.append(ScenePlanes(dimension, **self.planes, **settings))
+            if self.state["width"]:
+                state = StateNetwork(dimension, **self.state, generator=generator)
+        elif dimension and self.encoding == "conditioned":
+            state = PlainState(dimension)
+        return RadianceNetwork(encodings, state, **self.sizes, generator=generator)
+
+    def at(self, v: Float[Tensor, "n"]) -> StateCode:
+        return self.net.at(v)
+
+    def values(self, points: RadiancePoints, state: StateCode) -> Float[Tensor, "N 3"]:
+        return self.net(points, state)
+
+    def timed_parts(self, lighting: Tensor, gbuffer: GBuffer) -> dict[str, Callable[[], Any]]:
+        """As every field's; of the network also features of the place, state, and decoder (table 1)."""
+        found = super().timed_parts(lighting, gbuffer)
+        if not found:
+            return found
+        code = self.light(lighting)
+        with torch.no_grad():
+            points = self.trace(gbuffer.view).points.to(self.device)
+            places = [points.position[k : k + CHUNK] for k in range(0, len(points), CHUNK)]
+            features = self.net.features(points, code.state)
+
+        @torch.no_grad()
+        def features_of_places() -> None:
+            parts = self.net.lines(code.v.to(self.device))
+            for place in places:
+                self.net.places(place, parts)
+
+        @torch.no_grad()
+        def decode() -> None:
+            for start in range(0, len(features), CHUNK):
+                self.net.decode(features[start : start + CHUNK], code.state)
+
+        return {
+            **found,
+            "features": features_of_places,
+            "variables": torch.no_grad()(lambda: self.net.bias(code.v.to(self.device))),
+            "decoder": decode,
+        }
+
+    def sized_parts(self) -> dict[str, int]:
+        """Bytes of the features of the place (f_X, f_XV), of f_V, and of the decoder (table 1)."""
+
+        def size(module: torch.nn.Module | None) -> int:
+            return sum(p.numel() * p.element_size() for p in module.parameters()) if module else 0
+
+        return {
+            "features": size(self.net.encodings), "variables": size(self.net.state),
+            "decoder": size(self.net.decoder),
+        }  # fmt: skip
+
+    # ---- fitting
+
+    def fit(self, task: Any, log: FitLog, seed: int, device: str) -> None:
+        """Minimise the residual of the rendering equation over states, points and directions.
+
+        Raises:
+            PrtError: where the radiance grows without bound; the last checkpoint is kept.
+        """
+        torch.manual_seed(seed)
+        self.build(task, device, seed)
+        settings, net = self.training, self.net
+        generator = torch.Generator().manual_seed(seed)
+        surface = SurfaceStates(self.stage.mi_scene, task.walk_views())
+        residual = Residual(self, surface, task.dimension, generator)
+        resumed = log.resume()
+        if resumed is None:
+            net.scale.fill_(residual.scale())
+        features = [p for e in net.encodings for p in e.parameters()]
+        known = {id(p) for p in features}
+        rest = [p for p in net.parameters() if id(p) not in known]
+        groups = [{"params": features, "lr": settings["grid_rate"]}, {"params": rest, "lr": settings["rate"]}]
+        optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
+        average = Average(net, settings["average"]) if settings["average"] else None
+        first = resumed[0] if resumed else 0
+        residual.step = first
+        fit_loop(
+            log, "dynamic_radiosity", settings["steps"], generator, {"net": net}, residual.loss, optimiser,
+            lambda progress: settings["decay"] ** int(3 * progress), average,
+        )  # fmt: skip
+
+
+class Residual:
+    """The loss of one step: a random state, points, directions (equations 9 to 11)."""
+
+    def __init__(
+        self, method: DynamicRadiosity, surface: SurfaceStates, dimension: int, generator: torch.Generator
+    ):
+        self.method, self.surface, self.dimension = method, surface, dimension
+        self.generator, self.step = generator, 0
+
+    def state(self) -> Float[Tensor, "n"]:
+        """A uniform state, or the one that a static network is for."""
+        if self.method.encoding == "static":
+            given = self.method.static_state
+            if given is not None and len(given) != self.dimension:
+                raise PrtError(
+                    f"method.static_state has {len(given)} values, the scene {self.dimension} variables"
+                )
+            return torch.tensor(given) if given else torch.full((self.dimension,), 0.5)
+        return torch.rand(self.dimension, generator=self.generator)
+
+    def seed(self) -> int:
+        return int(torch.randint(1 << 31, (1,), generator=self.generator))
+
+    def samples(self) -> int:
+        """M of this step."""
+        settings = self.method.training
+        fifth = FIFTHS * (self.step - 1) // settings["steps"] if settings["adaptive"] else 0
+        return settings["samples"] * 2**fifth
+
+    def scale(self) -> float:
+        """Mean light that surfaces reflect straight from the scene's emitters, over a few states."""
+        found = []
+        generator_state = self.generator.get_state()
+        for _ in range(8):
+            v = self.state()
+            self.method.stage.set(v)
+            si, count = self.surface.sample(512, self.seed())
+            found.append(
+                float(right_hand_side(self.method.stage.mi_scene, si, count, 8, self.seed()).known.mean())
+            )
+        self.generator.set_state(generator_state)
+        mean = sum(found) / len(found)
+        if not mean > 0 or not math.isfinite(mean):
+            raise PrtError(
+                "no light of the scene reaches its surfaces; task=animate needs a scene with emitters"
+            )
+        return mean
+
+    def loss(self) -> Tensor:
+        """Of the next step."""
+        self.step += 1
+        method, settings = self.method, self.method.training
+        net, device = method.net, method.device
+        v = self.state()
+        method.stage.set(v)
+        si, count = self.surface.sample(settings["batch"], self.seed())
+        left_points = points_of(si, count).to(device)
+        answers = right_hand_side(
+            method.stage.mi_scene, si, count, self.samples(), self.seed(), settings["sampling"],
+            settings["emitters"],
+        )  # fmt: skip
+        code = net.at(v.to(device))
+        left = net(left_points, code)
+        points = answers.points.to(device)
+        if settings["detach"]:
+            with torch.no_grad():  # in chunks that stay in cache
+                starts = range(0, max(len(points), 1), CHUNK)
+                values = torch.cat([net(points.rows(slice(k, k + CHUNK)), code) for k in starts])
+        else:
+            values = net(points, code)
+        right = answers.known.to(device).index_add(0, points.path, points.weight * values)
+        self._watch(left)
+        difference = (left - right).square()
+        if settings["loss"] == "relative":
+            middle = (left.detach() + right.detach()).mean(1, keepdim=True) / 2
+            difference = difference / (middle.square() + (settings["epsilon"] * net.scale) ** 2)
+        else:
+            difference = difference / net.scale.square()
+        return difference.mean()
+
+    @torch.no_grad()
+    def _watch(self, left: Tensor) -> None:
+        mean, most = float(left.mean()), DIVERGED * float(self.method.net.scale)
+        if mean > most:
+            raise PrtError(
+                f"dynamic_radiosity diverged at step {self.step}: mean radiance {mean:.3g}, "
+                f"{mean / float(self.method.net.scale):.3g} times what the lights reflect once; the last "
+                "checkpoint is kept. Lower method.training.rate, or albedos near 1"
+            )
+
+
+def points_of(si: Any, count: int) -> RadiancePoints:
+    """Interactions as points of the network, seen from ``wi``."""
+    import drjit as dr
+
+    from prt.trace.radiance_rays import rows
+
+    wo = si.to_world(si.wi)
+    normal = si.sh_frame.n
+    normal = dr.select(dr.dot(normal, wo) < 0, -normal, normal)
+    albedo = si.bsdf().eval_diffuse_reflectance(si)
+    dr.eval(wo, normal, albedo)
+    one = torch.ones((count, 3))
+    return RadiancePoints(
+        rows(si.p, count), rows(normal, count), rows(wo, count), rows(albedo, count), one, torch.arange(count)
+    )
