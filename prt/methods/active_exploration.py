@@ -18,13 +18,16 @@ from prt.methods.base import FitLog
 from prt.methods.radiance_field import RadianceField, pixel_rays
 from prt.methods.state_chain import StateChain
 from prt.methods.training import Average, fit_loop, warm_up_then_cosine
-from prt.nn.pixel_generator import PixelGenerator
+from prt.nn.pixel_generator import LARGEST, PixelGenerator
 from prt.nn.radiance_network import RadiancePoints
 from prt.progress import track
+from prt.scene.gbuffer import GBuffer
 from prt.trace.radiance_rays import Answers, follow
 
 #: seeds of training images, apart from those of references
 FIRST_SEED = 5_000_000
+#: radiance as low as this, over the network's scale, may be found in training: its logarithm is still finite
+LEAST = -0.9
 
 
 @dataclasses.dataclass
@@ -76,7 +79,7 @@ class ActiveExploration(RadianceField):
         return v
 
     def values(self, points: RadiancePoints, state: Float[Tensor, "n"]) -> Float[Tensor, "N 3"]:
-        return self.net(points, state)
+        return self.net(surface(points), state)
 
     # ---- fitting
 
@@ -96,6 +99,16 @@ class ActiveExploration(RadianceField):
         )  # fmt: skip
 
 
+def surface(points: RadiancePoints) -> GBuffer:
+    """Points as the pixel generator knows them; what is specular was followed by rays."""
+    count = len(points)
+    none = torch.zeros((count, 3), device=points.position.device)
+    return GBuffer(
+        points.position, points.normal, points.wo, points.reflected, points.albedo, none,
+        torch.ones_like(none[:, :1]), none[:, :2], torch.ones(count, dtype=torch.bool),
+    )  # fmt: skip
+
+
 class Explorer:
     """The images so far and the chain that adds to them; part of what a checkpoint keeps."""
 
@@ -109,15 +122,18 @@ class Explorer:
         self.places: list[list[float]] = []
         self.examples: list[Example] = []
         self.step = 0
+        #: number of the image where the chain is
+        self.at = 0
 
     # resumed by tracing the same images again: their states and seeds say all
 
     def state_dict(self) -> dict[str, Any]:
         places = torch.tensor(self.places).reshape(len(self.places), self.task.dimension + 1)
-        return {"step": self.step, "places": places}
+        return {"step": self.step, "places": places, "at": self.at, "chain": self.chain.state()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        self.step = int(state["step"])
+        self.step, self.at = int(state["step"]), int(state["at"])
+        self.chain.restore(state["chain"])
         self.places = state["places"].tolist()
         self.examples = [
             self._traced(torch.tensor(u), number)
@@ -140,13 +156,17 @@ class Explorer:
         if settings["uniform"]:
             u = torch.rand(self.task.dimension + 1, generator=self.generator)
         else:
+            if self.examples:  # it has been trained on since
+                with torch.no_grad():
+                    self.chain.refresh(float(self._error(self.examples[self.at]).mean()))
             u = self.chain.propose()
         example = self._traced(u, len(self.examples))
         self.examples.append(example)
         self.places.append(u.tolist())
         if not settings["uniform"]:
             with torch.no_grad():
-                self.chain.accept(u, float(self._error(example).mean()))
+                if self.chain.accept(u, float(self._error(example).mean())):
+                    self.at = len(self.examples) - 1
 
     @torch.no_grad()
     def _traced(self, u: Float[Tensor, "m"], number: int) -> Example:
@@ -158,11 +178,12 @@ class Explorer:
         return Example(v, answers, target.reshape(-1, 3))
 
     def _error(self, example: Example) -> Float[Tensor, "P 3"]:
-        """Squared difference in log1p: lamps and highlights would drown all else."""
-        device = self.method.device
+        """Squared difference in log(1 + radiance): lamps and highlights would drown all else."""
+        net, device = self.method.net, self.method.device
         points = example.answers.points.to(device)
-        values = self.method.values(points, example.v.to(device))
+        # not cut off at 0, as the network's own radiance is: there would be no way back from below
+        log_values = net.log_radiance(surface(points), example.v.to(device)).clamp(max=LARGEST)
         known = example.answers.known.to(device)
-        image = known.index_add(0, points.path, points.weight * values)
-        target = example.target.to(device)
-        return (torch.log1p(image.clamp(min=0)) - torch.log1p(target)).square()
+        image = known.index_add(0, points.path, points.weight * torch.expm1(log_values) * net.scale)
+        found = torch.log1p((image / net.scale).clamp(min=LEAST))
+        return (found - net.compressed(example.target.to(device))).square()

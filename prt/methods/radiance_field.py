@@ -209,6 +209,6 @@ def pixel_rays(view: View, samples: int):
 
 
 def exposure_of(image: Float[Tensor, "H W 3"]) -> float:
-    """Brings the image's own 95th percentile to 0.8, for there is no reference where it is made; 1 for black."""
+    """Brings the image's own 95th percentile to 0.8, for no reference is at hand; 1 for a black one."""
     high = float(np.quantile(image.numpy(), 0.95))
     return 0.8 / high if high > 0 else 1.0

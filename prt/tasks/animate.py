@@ -64,7 +64,8 @@ class Animate:
 
     def __init__(
         self, scene: Scene, lighting: Any, name: str, states: int, corners: int, outside: int,
-        path_steps: int, given: list[list[float]] | None, size: int, spp: int, path_spp: int, max_depth: int, seed: int = 0,
+        path_steps: int, given: list[list[float]] | None, size: int, spp: int, path_spp: int,
+        max_depth: int, seed: int = 0,
     ):  # fmt: skip
         if not isinstance(lighting, OwnLights):
             raise PrtError(
