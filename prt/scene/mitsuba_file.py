@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 from prt.errors import PrtError
 from prt.paths import data_file, data_folder
+from prt.scene.animation import read_animation
 from prt.scene.mitsuba_nodes import children, first_sensor, roughness_by_pattern, set_roughness
 from prt.scene.mitsuba_setup import mitsuba
 from prt.scene.scene import Scene, Trajectory, file_digest
@@ -38,6 +39,9 @@ class MitsubaScene(Scene):
             sigma; smooth conductors, plastics and dielectrics become rough ones.
         emitting_shapes: ``remove`` or ``keep`` the shapes of area emitters.
         parameters: values for the ``$name`` parameters of an XML file.
+        animation: what moves in task animate, as :func:`~prt.scene.animation.read_animation` takes it; a path is
+            absolute, relative to the current folder or to the scene's file, or below ``PRT_DATA``.
+        variables: how many of its variables move; null for all.
 
     Raises:
         PrtError: for a missing or unreadable file, or a pattern that matches nothing.
@@ -54,6 +58,8 @@ class MitsubaScene(Scene):
         roughness: float | Mapping[str, float] | None = None,
         emitting_shapes: Literal["remove", "keep"] = "remove",
         parameters: Mapping[str, Any] | None = None,
+        animation: str | Path | Mapping[str, Any] | None = None,
+        variables: int | None = None,
     ):
         super().__init__(name, cameras or self._derived_cameras(), max_depth, record)
         if path is None or (isinstance(path, (str, Path)) and not str(path).strip()):
@@ -70,6 +76,7 @@ class MitsubaScene(Scene):
         self.roughness = roughness_by_pattern(roughness)
         self.emitting_shapes = emitting_shapes
         self.parameters = {key: str(value) for key, value in (parameters or {}).items()}
+        self.animation = read_animation(self._animation_source(animation)).subset(variables)
         self._shapes: dict[str, Any] | None = None
         self._sensor: SensorPose | None = None
 
@@ -78,6 +85,56 @@ class MitsubaScene(Scene):
         if self._shapes is None:
             self._shapes = self._build()
         return dict(self._shapes)
+
+    def _animation_source(self, given: Any) -> Any:
+        if given is None or isinstance(given, Mapping):
+            return None if given is None else _plain(given)
+        places = [Path(str(given)).expanduser()]
+        if self.path is not None:
+            places.append(self.path.parent / str(given))
+        if data_folder() is not None:
+            places.append(data_folder() / str(given))
+        return next((place for place in places if place.is_file()), places[0])
+
+    def load_lit(self):
+        """The file as it is, lights and all, every shape by itself under its own id.
+
+        Raises:
+            PrtError: for a file without emitters, or one that cannot be built.
+        """
+        mi = mitsuba()
+        config, state = _parser_config(), self._parse()
+        emitters = [node for node in state.nodes if node.type == mi.ObjectType.Emitter]
+        if not emitters:
+            raise PrtError(
+                f"scene.path={self.path or 'dict'} has no emitters, which task=animate needs; add a light"
+            )
+        self._sensor = first_sensor(state)
+        self._strip(state, lights=True)
+        set_roughness(state, self.roughness)
+        try:
+            scene = mi.parser.instantiate(config, state)
+        except Exception as error:
+            raise PrtError(f"cannot build scene.path={self.path or 'dict'}: {_one_line(error)}") from error
+        return scene[0] if isinstance(scene, (list, tuple)) else scene
+
+    def lit_fingerprint(self) -> dict[str, Any]:
+        """As for other tasks, with emitters and the files these name."""
+        state = self._parse()
+        mi = mitsuba()
+        names = [
+            n.props["filename"]
+            for n in state.nodes
+            if n.type == mi.ObjectType.Emitter and "filename" in n.props
+        ]
+        files = [file for file in names if isinstance(file, str)]
+        for file in files:
+            if not Path(file).is_file():
+                raise PrtError(
+                    f"scene.path={self.path or 'dict'} needs {file}, which does not exist; restore it"
+                )
+        maps = [cached_digest(Path(file), Path(file).stat().st_mtime_ns) for file in sorted(set(files))]
+        return {**super().lit_fingerprint(), "emitters": maps}
 
     def fingerprint(self) -> dict[str, Any]:
         """The content of the file and of every file it names (SHA-256), and the options."""
@@ -177,10 +234,11 @@ class MitsubaScene(Scene):
             raise PrtError(f"scene.path={self.path or 'dict'} has no shapes left; nothing to look at")
         return {f"{_key(shape.id())}_{i}": shape for i, shape in enumerate(shapes)}
 
-    def _strip(self, state) -> None:
-        """Take out emitters, sensors, integrators, and the shapes that are to be opened."""
+    def _strip(self, state, lights: bool = False) -> None:
+        """Take out emitters (unless they are wanted), sensors, integrators, and shapes that are to be opened."""
         mi = mitsuba()
-        unwanted = (mi.ObjectType.Emitter, mi.ObjectType.Sensor, mi.ObjectType.Integrator)
+        unwanted = (mi.ObjectType.Sensor, mi.ObjectType.Integrator)
+        unwanted += () if lights else (mi.ObjectType.Emitter,)
         ids: set[str] = set()
         gone: set[int] = set()
         for index, node in enumerate(state.nodes):
@@ -188,7 +246,7 @@ class MitsubaScene(Scene):
                 ids.add(node.props.id())
                 emits = any(state.nodes[i].type == mi.ObjectType.Emitter for _, i in children(node))
                 opened = any(fnmatch.fnmatchcase(node.props.id(), pattern) for pattern in self.open)
-                if opened or (emits and self.emitting_shapes == "remove"):
+                if opened or (emits and self.emitting_shapes == "remove" and not lights):
                     gone.add(index)
             elif node.type in unwanted:
                 gone.add(index)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from prt.errors import PrtError
+from prt.scene.animation import Animation
 from prt.scene.mitsuba_setup import mitsuba
 from prt.scene.view import View
 
@@ -31,6 +32,8 @@ class Scene:
     #: ``volume`` where light passes through the surface into a medium that scatters it, which takes a
     #: volumetric integrator; None where surfaces only reflect or refract
     medium: str | None = None
+    #: what moves in task animate; nothing where a scene names nothing
+    animation: Animation = Animation()
 
     def __init__(
         self,
@@ -87,6 +90,34 @@ class Scene:
                 key += "_shape"
             content[key] = shape
         return mi.load_dict({**content, **emitters})
+
+    # ---- task animate: the scene with the lights that are its own
+
+    def lights(self) -> dict[str, Any]:
+        """Emitters, and shapes that emit, by name: part of the scene in task animate only."""
+        return {}
+
+    def load_lit(self):
+        """The ``mi.Scene`` with its own lights; parameters of shapes are named after the shapes.
+
+        Raises:
+            PrtError: for a scene without lights of its own.
+        """
+        lights = self.lights()
+        if not lights:
+            raise PrtError(
+                f"scene {self.name} has no lights of its own, which task=animate needs; choose cornell_animated, "
+                "many, or a Mitsuba file with emitters (scene=mitsuba)"
+            )
+        content = {"type": "scene", **self.description(), **lights}
+        for name, part in content.items():
+            if hasattr(part, "set_id"):
+                part.set_id(name)
+        return mitsuba().load_dict(content)
+
+    def lit_fingerprint(self) -> dict[str, Any]:
+        """Plain JSON data that determines what every state looks like."""
+        return {"scene": self.fingerprint(), "animation": self.animation.fingerprint()}
 
     def asset(self, texels: int) -> Any:
         """The scene as an asset that a lightmap of about ``texels`` a side is baked for."""

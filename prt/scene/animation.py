@@ -1,0 +1,279 @@
+"""Animation as data: what each variable of a scene moves, from where to where (Su 2024, section 4.1).
+
+Our own format, as YAML or within ``conf/scene``::
+
+    variables:
+      - {name: lamp, translate: {shapes: [Lamp, Bulb], start: [0, -0.4, 0], end: [0, 0.4, 0]}}
+      - {name: door, rotate: {shapes: [Door], axis: [0, 1, 0], centre: [1, 0, 2], start: 0, end: 80}}    # degrees
+      - {name: ball, scale: {shapes: [Ball], centre: [0, 0, 0], start: 0.5, end: 1.5}}     # or three factors
+      - {name: wall, value: {parameter: WallBSDF.reflectance.value, start: [0.2, 0.2, 0.2], end: [0.5, 0, 0]}}
+      - {name: sun, rotate_environment: {axis: [0, 1, 0], start: 90, end: 120}}
+
+A variable may have several of these at once. Several variables may move one shape: their motions follow each
+other in the order in which they are listed. The paper's own ``animation.json`` is read as well.
+"""
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from prt.errors import PrtError
+
+#: keys of a motion by its kind: needed, and possible
+KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "translate": (("shapes", "start", "end"), ()),
+    "rotate": (("shapes", "axis", "start", "end"), ("centre",)),
+    "scale": (("shapes", "start", "end"), ("centre",)),
+    "value": (("parameter", "start", "end"), ()),
+    "rotate_environment": (("start", "end"), ("axis",)),
+}
+#: the shape that stands for the environment in the paper's files
+ENVIRONMENT = "EnvironmentMapEmitter"
+#: groups of the paper's files, in the order in which its variables are numbered
+GROUPS = ("common", "translate", "scale", "rotate")
+
+Matrix = Float[np.ndarray, "4 4"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Motion:
+    """One thing that one variable does; ``start`` and ``end`` are tuples of numbers."""
+
+    kind: str
+    start: tuple[float, ...]
+    end: tuple[float, ...]
+    shapes: tuple[str, ...] = ()
+    parameter: str = ""
+    axis: tuple[float, ...] = (0.0, 1.0, 0.0)
+    centre: tuple[float, ...] = (0.0, 0.0, 0.0)
+
+    def at(self, v: float) -> np.ndarray:
+        """Between start and end, exact at both; beyond them where v is."""
+        return (1.0 - v) * np.array(self.start) + v * np.array(self.end)
+
+    def matrix(self, v: float) -> Matrix:
+        """Of a motion of shapes or of the environment."""
+        value, out = self.at(v), np.eye(4)
+        if self.kind == "translate":
+            out[:3, 3] = value
+            return out
+        out[:3, :3] = (
+            rotation(self.axis, float(value[0])) if "rotate" in self.kind else np.diag(value * np.ones(3))
+        )
+        centre = np.array(self.centre)
+        out[:3, 3] = centre - out[:3, :3] @ centre
+        return out
+
+
+@dataclasses.dataclass(frozen=True)
+class Variable:
+    """A value from 0 to 1 and what it does."""
+
+    name: str
+    motions: tuple[Motion, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Animation:
+    """All variables of a scene, in the order of the scene vector."""
+
+    variables: tuple[Variable, ...] = ()
+    #: variables that stand still, at which value
+    rest: tuple[tuple[Variable, float], ...] = ()
+
+    @property
+    def dimension(self) -> int:
+        """n."""
+        return len(self.variables)
+
+    @property
+    def names(self) -> list[str]:
+        return [variable.name for variable in self.variables]
+
+    def fingerprint(self) -> dict[str, Any]:
+        """Plain JSON data that determines what every state looks like."""
+        return dataclasses.asdict(self)
+
+    def subset(self, count: int | None, rest: float = 0.0) -> "Animation":
+        """The first ``count`` variables; the others stay at ``rest``. None for all.
+
+        Raises:
+            PrtError: for more variables than there are.
+        """
+        if count is None:
+            return self
+        if isinstance(count, bool) or not isinstance(count, int) or not 0 <= count <= self.dimension:
+            raise PrtError(f"scene.variables={count!r} must be an integer from 0 to {self.dimension}")
+        still = tuple((variable, rest) for variable in self.variables[count:])
+        return Animation(self.variables[:count], self.rest + still)
+
+    def check(self, v: Sequence[float]) -> list[float]:
+        """A state as plain numbers; beyond [0, 1] motions go on as they were going.
+
+        Raises:
+            PrtError: for another number of values than there are variables, or one that is not finite.
+        """
+        state = [float(value) for value in v]
+        if len(state) != self.dimension:
+            names = f" ({', '.join(self.names)})" if self.variables else ""
+            raise PrtError(f"a state of {len(state)} values for a scene of {self.dimension} variables{names}")
+        if not np.isfinite(state).all():
+            raise PrtError(f"state {state}: all values must be finite, usually from 0 to 1")
+        return state
+
+    def _placed(self, v: Sequence[float]) -> list[tuple[Motion, float]]:
+        moving = list(zip(self.variables, self.check(v), strict=True)) + list(self.rest)
+        return [(motion, value) for variable, value in moving for motion in variable.motions]
+
+    def transforms(self, v: Sequence[float]) -> dict[str, Matrix]:
+        """For every shape that moves, from its place in the file to its place in the state."""
+        out: dict[str, Matrix] = {}
+        for motion, value in self._placed(v):
+            for shape in motion.shapes:
+                out[shape] = motion.matrix(value) @ out.get(shape, np.eye(4))
+        return out
+
+    def environment(self, v: Sequence[float]) -> Matrix | None:
+        """The turn of the environment; None where nothing turns it."""
+        turns = [
+            motion.matrix(value) for motion, value in self._placed(v) if motion.kind == "rotate_environment"
+        ]
+        return None if not turns else np.linalg.multi_dot([*reversed(turns), np.eye(4)])
+
+    def values(self, v: Sequence[float]) -> dict[str, tuple[float, ...]]:
+        """Values of parameters; of two variables for one parameter the later one counts."""
+        return {m.parameter: tuple(m.at(x).tolist()) for m, x in self._placed(v) if m.kind == "value"}
+
+    def shapes(self) -> list[str]:
+        """All that are named."""
+        every = [*self.variables, *(variable for variable, _ in self.rest)]
+        return list(dict.fromkeys(s for variable in every for m in variable.motions for s in m.shapes))
+
+
+def rotation(axis: Sequence[float], degrees: float) -> Float[np.ndarray, "3 3"]:
+    """Rodrigues' formula."""
+    x, y, z = np.asarray(axis, dtype=np.float64) / np.linalg.norm(axis)
+    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    # exact at 0 and at quarter turns, where sine and cosine of radians are not
+    turn = degrees % 360.0
+    exact = {0.0: (0.0, 1.0), 90.0: (1.0, 0.0), 180.0: (0.0, -1.0), 270.0: (-1.0, 0.0)}
+    sine, cosine = exact.get(turn, (np.sin(np.radians(turn)), np.cos(np.radians(turn))))
+    return np.eye(3) + sine * k + (1 - cosine) * (k @ k)
+
+
+def read_animation(source: Any) -> Animation:
+    """From a mapping, or from a YAML or JSON file in our format or the paper's; None for one without variables.
+
+    Raises:
+        PrtError: for a file that cannot be read, an unknown or missing key, or a wrong number of values.
+    """
+    if source is None:
+        return Animation()
+    if isinstance(source, Animation):
+        return source
+    if isinstance(source, (str, Path)):
+        path = Path(source)
+        if not path.is_file():
+            raise PrtError(f"scene.animation={path} does not exist; give a YAML or JSON file")
+        import yaml
+
+        try:
+            text = path.read_text()
+            source = json.loads(text) if path.suffix == ".json" else yaml.safe_load(text)
+        except (ValueError, yaml.YAMLError) as error:
+            raise PrtError(f"cannot read scene.animation={path}: {' '.join(str(error).split())}") from error
+    if not isinstance(source, Mapping):
+        raise PrtError("scene.animation must be a mapping with a list `variables`")
+    if "variables" not in source:
+        return _paper(source)
+    unknown = set(map(str, source)) - {"variables"}
+    if unknown:
+        raise PrtError(f"scene.animation: unknown key {sorted(unknown)[0]!r}; only `variables` stands there")
+    variables = tuple(_variable(i, dict(entry)) for i, entry in enumerate(source["variables"] or []))
+    names = [variable.name for variable in variables]
+    for name in names:
+        if names.count(name) > 1:
+            raise PrtError(f"scene.animation: two variables are called {name!r}; name one of them otherwise")
+    return Animation(variables)
+
+
+def _variable(number: int, entry: dict[str, Any]) -> Variable:
+    name = str(entry.pop("name", f"variable{number}"))
+    unknown = [key for key in entry if key not in KINDS]
+    if unknown or not entry:
+        what = f"unknown key {unknown[0]!r}" if unknown else "it moves nothing"
+        raise PrtError(f"scene.animation, {name}: {what}; allowed: name, {', '.join(KINDS)}")
+    return Variable(name, tuple(_motion(name, kind, dict(given)) for kind, given in entry.items()))
+
+
+def _motion(name: str, kind: str, given: dict[str, Any]) -> Motion:
+    needed, possible = KINDS[kind]
+    wrong = [key for key in given if key not in (*needed, *possible)] + [k for k in needed if k not in given]
+    if wrong:
+        what = "missing" if wrong[0] in needed else "unknown"
+        allowed = ", ".join((*needed, *possible))
+        raise PrtError(f"scene.animation, {name}: {kind}: {what} key {wrong[0]!r}; it takes {allowed}")
+    start, end = (_numbers(f"{name}: {kind}.{key}", given[key]) for key in ("start", "end"))
+    counts = {"translate": (3,), "scale": (1, 3), "rotate": (1,), "rotate_environment": (1,)}.get(kind)
+    if len(start) != len(end) or (counts and len(start) not in counts):
+        wanted = " or ".join(map(str, counts)) if counts else "equally many"
+        raise PrtError(
+            f"scene.animation, {name}: {kind}: start has {len(start)} values and end {len(end)}; "
+            f"{wanted} are needed in both"
+        )
+    more: dict[str, Any] = {}
+    for key in ("axis", "centre"):
+        if key in given:
+            more[key] = _numbers(f"{name}: {kind}.{key}", given[key])
+            if len(more[key]) != 3:
+                raise PrtError(f"scene.animation, {name}: {kind}.{key} must have 3 values")
+    if "axis" in more and not np.linalg.norm(more["axis"]) > 0:
+        raise PrtError(f"scene.animation, {name}: {kind}.axis={list(more['axis'])} has no direction")
+    shapes = given.get("shapes", [])
+    if isinstance(shapes, str) or not all(isinstance(shape, str) for shape in shapes):
+        raise PrtError(f"scene.animation, {name}: {kind}.shapes must be a list of shape ids")
+    if kind in ("translate", "rotate", "scale") and not shapes:
+        raise PrtError(f"scene.animation, {name}: {kind}.shapes is empty; name at least one shape")
+    return Motion(kind, start, end, tuple(shapes), str(given.get("parameter", "")), **more)
+
+
+def _numbers(what: str, value: Any) -> tuple[float, ...]:
+    values = [value] if isinstance(value, (int, float)) and not isinstance(value, bool) else value
+    try:
+        numbers = tuple(float(x) for x in values)
+    except (TypeError, ValueError) as error:
+        raise PrtError(f"scene.animation, {what}={value!r} must be a number or a list of numbers") from error
+    if not np.isfinite(numbers).all():
+        raise PrtError(f"scene.animation, {what}={value!r} must be finite")
+    return numbers
+
+
+def _paper(source: Mapping[str, Any]) -> Animation:
+    """The format of the paper's scenes: groups of entries, each a variable; a camera that stands still."""
+    for key in source:
+        if key not in (*GROUPS, "camera"):
+            allowed = ", ".join(("variables", *GROUPS, "camera"))
+            raise PrtError(f"scene.animation: unknown key {key!r}; allowed: {allowed}")
+    if dict(source.get("camera") or {}).get("active"):
+        raise PrtError("scene.animation: camera.active=true: the camera is no variable here, views are free")
+    variables = []
+    for group in GROUPS:
+        for entry in source.get(group) or []:
+            entry, name = dict(entry), f"{group}{len(variables)}"
+            shapes = list(entry.pop("shape_names", []))
+            if group == "common":
+                given = {"value": {"parameter": entry.pop("param_name", ""), **entry}}
+            elif shapes == [ENVIRONMENT]:
+                entry.pop("translation", None)
+                given = {"rotate_environment": entry}
+            else:
+                if "translation" in entry:
+                    entry["centre"] = entry.pop("translation")
+                given = {group: {"shapes": shapes, **entry}}
+            variables.append(_variable(len(variables), {"name": name, **given}))
+    return Animation(tuple(variables))
