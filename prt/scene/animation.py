@@ -97,7 +97,7 @@ class Animation:
 
     def fingerprint(self) -> dict[str, Any]:
         """Plain JSON data that determines what every state looks like."""
-        return dataclasses.asdict(self)
+        return json.loads(json.dumps(dataclasses.asdict(self)))
 
     def subset(self, count: int | None, rest: float = 0.0) -> "Animation":
         """The first ``count`` variables; the others stay at ``rest``. None for all.
@@ -110,7 +110,7 @@ class Animation:
         if isinstance(count, bool) or not isinstance(count, int) or not 0 <= count <= self.dimension:
             raise PrtError(f"scene.variables={count!r} must be an integer from 0 to {self.dimension}")
         still = tuple((variable, rest) for variable in self.variables[count:])
-        return Animation(self.variables[:count], self.rest + still)
+        return Animation(self.variables[:count], still + self.rest)
 
     def check(self, v: Sequence[float]) -> list[float]:
         """A state as plain numbers; beyond [0, 1] motions go on as they were going.
@@ -194,7 +194,8 @@ def read_animation(source: Any) -> Animation:
     unknown = set(map(str, source)) - {"variables"}
     if unknown:
         raise PrtError(f"scene.animation: unknown key {sorted(unknown)[0]!r}; only `variables` stands there")
-    variables = tuple(_variable(i, dict(entry)) for i, entry in enumerate(source["variables"] or []))
+    entries = _entries("variables", source["variables"])
+    variables = tuple(_variable(i, entry) for i, entry in enumerate(entries))
     names = [variable.name for variable in variables]
     for name in names:
         if names.count(name) > 1:
@@ -208,7 +209,19 @@ def _variable(number: int, entry: dict[str, Any]) -> Variable:
     if unknown or not entry:
         what = f"unknown key {unknown[0]!r}" if unknown else "it moves nothing"
         raise PrtError(f"scene.animation, {name}: {what}; allowed: name, {', '.join(KINDS)}")
+    for kind, given in entry.items():
+        if not isinstance(given, Mapping):
+            raise PrtError(f"scene.animation, {name}: {kind}={given!r} must be a mapping with start and end")
     return Variable(name, tuple(_motion(name, kind, dict(given)) for kind, given in entry.items()))
+
+
+def _entries(what: str, given: Any) -> list[dict[str, Any]]:
+    """A list of mappings, copied; an empty one where nothing is given."""
+    entries = [] if given is None else given
+    listed = isinstance(entries, Sequence) and not isinstance(entries, str)
+    if not listed or not all(isinstance(entry, Mapping) for entry in entries):
+        raise PrtError(f"scene.animation: {what} must be a list of mappings, one for each variable")
+    return [dict(entry) for entry in entries]
 
 
 def _motion(name: str, kind: str, given: dict[str, Any]) -> Motion:
@@ -220,8 +233,8 @@ def _motion(name: str, kind: str, given: dict[str, Any]) -> Motion:
         raise PrtError(f"scene.animation, {name}: {kind}: {what} key {wrong[0]!r}; it takes {allowed}")
     start, end = (_numbers(f"{name}: {kind}.{key}", given[key]) for key in ("start", "end"))
     counts = {"translate": (3,), "scale": (1, 3), "rotate": (1,), "rotate_environment": (1,)}.get(kind)
-    if len(start) != len(end) or (counts and len(start) not in counts):
-        wanted = " or ".join(map(str, counts)) if counts else "equally many"
+    if not start or len(start) != len(end) or (counts and len(start) not in counts):
+        wanted = " or ".join(map(str, counts)) if counts else "equally many, at least one,"
         raise PrtError(
             f"scene.animation, {name}: {kind}: start has {len(start)} values and end {len(end)}; "
             f"{wanted} are needed in both"
@@ -239,6 +252,10 @@ def _motion(name: str, kind: str, given: dict[str, Any]) -> Motion:
         raise PrtError(f"scene.animation, {name}: {kind}.shapes must be a list of shape ids")
     if kind in ("translate", "rotate", "scale") and not shapes:
         raise PrtError(f"scene.animation, {name}: {kind}.shapes is empty; name at least one shape")
+    if kind == "value" and not str(given["parameter"]).strip():
+        raise PrtError(
+            f"scene.animation, {name}: value.parameter is empty; name a parameter, as Wall.reflectance.value"
+        )
     return Motion(kind, start, end, tuple(shapes), str(given.get("parameter", "")), **more)
 
 
@@ -263,8 +280,8 @@ def _paper(source: Mapping[str, Any]) -> Animation:
         raise PrtError("scene.animation: camera.active=true: the camera is no variable here, views are free")
     variables = []
     for group in GROUPS:
-        for entry in source.get(group) or []:
-            entry, name = dict(entry), f"{group}{len(variables)}"
+        for entry in _entries(group, source.get(group)):
+            name = f"{group}{len(variables)}"
             shapes = list(entry.pop("shape_names", []))
             if group == "common":
                 given = {"value": {"parameter": entry.pop("param_name", ""), **entry}}

@@ -17,7 +17,7 @@ from typing import Any, Literal
 from prt.errors import PrtError
 from prt.paths import data_file, data_folder
 from prt.scene.animation import read_animation
-from prt.scene.mitsuba_nodes import children, first_sensor, roughness_by_pattern, set_roughness
+from prt.scene.mitsuba_nodes import children, first_sensor, name_shapes, roughness_by_pattern, set_roughness
 from prt.scene.mitsuba_setup import mitsuba
 from prt.scene.scene import Scene, Trajectory, file_digest
 from prt.scene.sensor_cameras import SensorPose, cameras_around_bounds, cameras_around_sensor
@@ -42,6 +42,7 @@ class MitsubaScene(Scene):
         animation: what moves in task animate, as :func:`~prt.scene.animation.read_animation` takes it; a path is
             absolute, relative to the current folder or to the scene's file, or below ``PRT_DATA``.
         variables: how many of its variables move; null for all.
+        add: shapes and emitters that task animate has beside the file's, by id, as in Mitsuba's dict format.
 
     Raises:
         PrtError: for a missing or unreadable file, or a pattern that matches nothing.
@@ -60,6 +61,7 @@ class MitsubaScene(Scene):
         parameters: Mapping[str, Any] | None = None,
         animation: str | Path | Mapping[str, Any] | None = None,
         variables: int | None = None,
+        add: Mapping[str, Any] | None = None,
     ):
         super().__init__(name, cameras or self._derived_cameras(), max_depth, record)
         if path is None or (isinstance(path, (str, Path)) and not str(path).strip()):
@@ -77,6 +79,7 @@ class MitsubaScene(Scene):
         self.emitting_shapes = emitting_shapes
         self.parameters = {key: str(value) for key, value in (parameters or {}).items()}
         self.animation = read_animation(self._animation_source(animation)).subset(variables)
+        self.add = _plain(add or {})
         self._shapes: dict[str, Any] | None = None
         self._sensor: SensorPose | None = None
 
@@ -99,24 +102,36 @@ class MitsubaScene(Scene):
     def load_lit(self):
         """The file as it is, lights and all, every shape by itself under its own id.
 
+        A shape without one is called after its BSDF, with a number: ``Wood_0001``, ``Wood_0002``.
+
         Raises:
             PrtError: for a file without emitters, or one that cannot be built.
         """
         mi = mitsuba()
         config, state = _parser_config(), self._parse()
         emitters = [node for node in state.nodes if node.type == mi.ObjectType.Emitter]
-        if not emitters:
+        if not emitters and not self.add:
             raise PrtError(
                 f"scene.path={self.path or 'dict'} has no emitters, which task=animate needs; add a light"
             )
         self._sensor = first_sensor(state)
         self._strip(state, lights=True)
         set_roughness(state, self.roughness)
+        name_shapes(state)
         try:
             scene = mi.parser.instantiate(config, state)
+            scene = scene[0] if isinstance(scene, (list, tuple)) else scene
+            if self.add:
+                # emitters of shapes come with the shapes
+                free = [e for e in scene.emitters() if not mi.has_flag(e.flags(), mi.EmitterFlags.Surface)]
+                own = {shape.id(): shape for shape in scene.shapes()}
+                own |= {f"light{number}": emitter for number, emitter in enumerate(free)}
+                # built one by one: together, equal shapes would be merged and lose their names
+                more = {key: mi.load_dict({"id": key, **_with_transforms(part)}) for key, part in self.add.items()}
+                scene = mi.load_dict({"type": "scene", **own, **more})
         except Exception as error:
             raise PrtError(f"cannot build scene.path={self.path or 'dict'}: {_one_line(error)}") from error
-        return scene[0] if isinstance(scene, (list, tuple)) else scene
+        return scene
 
     def lit_fingerprint(self) -> dict[str, Any]:
         """As for other tasks, with emitters and the files these name."""
@@ -134,7 +149,7 @@ class MitsubaScene(Scene):
                     f"scene.path={self.path or 'dict'} needs {file}, which does not exist; restore it"
                 )
         maps = [cached_digest(Path(file), Path(file).stat().st_mtime_ns) for file in sorted(set(files))]
-        return {**super().lit_fingerprint(), "emitters": maps}
+        return {**super().lit_fingerprint(), "emitters": maps, "add": _jsonable(self.add)}
 
     def fingerprint(self) -> dict[str, Any]:
         """The content of the file and of every file it names (SHA-256), and the options."""

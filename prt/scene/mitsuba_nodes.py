@@ -40,6 +40,25 @@ def first_sensor(state) -> SensorPose | None:
     return None
 
 
+def name_shapes(state) -> None:
+    """Give every shape without an id one: that of its BSDF (or its plugin) and a number, as in ``Wood_0001``."""
+    mi = mitsuba()
+    shapes = [node for node in state.nodes if node.type == mi.ObjectType.Shape]
+    # the parser itself numbers what has no id
+    unnamed = [node for node in shapes if not node.props.id() or node.props.id().startswith("_")]
+    taken, counts = {node.props.id() for node in shapes}, dict[str, int]()
+    for node in unnamed:
+        bsdfs = [i for _, i in children(node) if state.nodes[i].type == mi.ObjectType.BSDF]
+        base = (state.nodes[bsdfs[0]].props.id() if bsdfs else "") or node.props.plugin_name()
+        base = base.lstrip("_") or node.props.plugin_name()
+        name = base
+        while name == base or name in taken:
+            counts[base] = counts.get(base, 0) + 1
+            name = f"{base}_{counts[base]:04d}"
+        taken.add(name)
+        node.props.set_id(name)
+
+
 def set_roughness(state, by_pattern: dict[str, float]) -> None:
     """Set sigma on every BSDF whose id, or that of a BSDF around it, matches."""
     mi = mitsuba()

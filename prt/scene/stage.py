@@ -48,8 +48,11 @@ class Stage:
         """The value of a parameter as the scene was loaded."""
         if key not in self._rest:
             value = self.params[key]
-            plain = getattr(value, "matrix", value)
-            self._rest[key] = np.array(plain, dtype=np.float64)
+            matrix = getattr(value, "matrix", None)
+            if matrix is None:
+                self._rest[key] = np.array(value, dtype=np.float64)
+            else:  # arrays of one matrix in vectorised variants
+                self._rest[key] = np.array(matrix, dtype=np.float64).reshape(4, 4)
         return self._rest[key]
 
     def _keys_of(self, shape: str) -> list[str]:
