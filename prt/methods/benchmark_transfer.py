@@ -233,5 +233,5 @@ def bands(task: Any, orders: list[int], views: int, targets: list[float]) -> lis
         for target in targets:
             enough = fewest(errors, target)
             if enough is not None:
-                rows.append(row("order/chosen", enough, f"target={target:g}", split))
+                rows.append(row("order/chosen", enough, f"order_target={target:g}", split))
     return rows

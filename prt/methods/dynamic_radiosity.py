@@ -57,7 +57,7 @@ class DynamicRadiosity(RadianceField):
         planes: of f_XV, and of kplanes; levels (0 for none), features, base_resolution, scale.
         state: of f_V; width, hidden_layers, octaves. Width 0 for none.
         direction_degree, normal_degree, albedo_bins, width, hidden_layers: of the network.
-        training: steps, batch, samples, adaptive, loss, detach, epsilon, rate, grid_rate, decay, average,
+        training: steps, batch, samples, per_state, adaptive, loss, detach, epsilon, rate, grid_rate, decay, average,
             sampling, emitters.
         static_state: of ``static``, one value a variable; null for 0.5 each.
         pixel_samples, fxaa, right_hand: as in :class:`~prt.methods.radiance_field.RadianceField`.
@@ -90,7 +90,7 @@ class DynamicRadiosity(RadianceField):
             raise PrtError(f"method.encoding={encoding!r} is not one of {', '.join(ENCODINGS)}")
         if training["loss"] not in LOSSES:
             raise PrtError(f"method.training.loss={training['loss']!r} is not one of {', '.join(LOSSES)}")
-        for name in ("steps", "batch", "samples"):
+        for name in ("steps", "batch", "samples", "per_state"):
             if not isinstance(training[name], int) or training[name] < 1:
                 raise PrtError(f"method.training.{name}={training[name]!r} must be an integer of at least 1")
         self.encoding, self.grid, self.planes, self.state = encoding, grid, planes, state
@@ -217,6 +217,7 @@ class Residual:
     ):
         self.method, self.surface, self.dimension = method, surface, dimension
         self.generator, self.step = generator, 0
+        self.v = torch.zeros(0)
 
     def state(self) -> Float[Tensor, "n"]:
         """A uniform state, or the one that a static network is for."""
@@ -262,7 +263,10 @@ class Residual:
         self.step += 1
         method, settings = self.method, self.method.training
         net, device = method.net, method.device
-        v = self.state()
+        # a large room takes longer to move than to trace: such a state may serve for several steps
+        if (self.step - 1) % settings["per_state"] == 0 or len(self.v) != self.dimension:
+            self.v = self.state()
+        v = self.v
         method.stage.set(v)
         si, count = self.surface.sample(settings["batch"], self.seed())
         left_points = points_of(si, count).to(device)

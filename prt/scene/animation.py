@@ -4,8 +4,8 @@ Our own format, as YAML or within ``conf/scene``::
 
     variables:
       - {name: lamp, translate: {shapes: [Lamp, Bulb], start: [0, -0.4, 0], end: [0, 0.4, 0]}}
-      - {name: door, rotate: {shapes: [Door], axis: [0, 1, 0], centre: [1, 0, 2], start: 0, end: 80}}    # degrees
-      - {name: ball, scale: {shapes: [Ball], centre: [0, 0, 0], start: 0.5, end: 1.5}}     # or three factors
+      - {name: door, rotate: {shapes: [Door], axis: [0, 1, 0], centre: [1, 0, 2], start: 0, end: 80}}
+      - {name: ball, scale: {shapes: [Ball], centre: [0, 0, 0], start: 0.5, end: 1.5}}   # or three factors
       - {name: wall, value: {parameter: WallBSDF.reflectance.value, start: [0.2, 0.2, 0.2], end: [0.5, 0, 0]}}
       - {name: sun, rotate_environment: {axis: [0, 1, 0], start: 90, end: 120}}
 
@@ -167,7 +167,7 @@ def rotation(axis: Sequence[float], degrees: float) -> Float[np.ndarray, "3 3"]:
 
 
 def read_animation(source: Any) -> Animation:
-    """From a mapping, or from a YAML or JSON file in our format or the paper's; None for one without variables.
+    """From a mapping or a YAML or JSON file, in our format or the paper's; nothing moves in None.
 
     Raises:
         PrtError: for a file that cannot be read, an unknown or missing key, or a wrong number of values.

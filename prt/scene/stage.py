@@ -70,17 +70,16 @@ class Stage:
         return keys
 
     def _parameter(self, name: str) -> str:
-        """A parameter by its full name, or without the names of nested BSDFs between its first and its last."""
+        """A parameter by its full name, or without the names of nested BSDFs (``bsdf``, ``brdf_0``) in it."""
         keys = list(self.params.keys())
-        if name not in keys:
-            first, _, last = name.partition(".")
-            inner = [k for k in keys if k.startswith(f"{first}.") and k.endswith(f".{last}")]
-            if len(inner) != 1:
-                raise PrtError(
-                    f"scene.animation changes the parameter {name!r}, which the scene has not{near(name, keys)}"
-                )
-            name = inner[0]
-        return name
+        if name in keys:
+            return name
+        first, last = name.split(".")[0], name.split(".")[-1]
+        found = [k for k in keys if k.startswith(f"{first}.") and k.endswith(f".{last}") and within(name, k)]
+        if len(found) != 1:
+            close = f"; it may be any of {', '.join(found[:4])}" if found else near(name, keys)
+            raise PrtError(f"scene.animation changes the parameter {name!r}, which the scene has not{close}")
+        return found[0]
 
     def _environment_key(self) -> str:
         keys = list(self.params.keys())
@@ -150,20 +149,45 @@ class Stage:
         return True
 
     def _put(self, key: str, value: tuple[float, ...]) -> bool:
-        import drjit as dr
-
-        current = self.params[key]
-        if isinstance(current, float):
-            self.params[key] = float(value[0])
-            return True
-        kind, size = type(current), dr.size_v(type(current))
-        if dr.depth_v(kind) <= 1 and not isinstance(size, int):
-            size = 1
-        numbers = list(value) * max(1, size // len(value)) if size > 0 and len(value) == 1 else list(value)
-        fresh = kind(*numbers) if size > 0 and dr.depth_v(kind) > 1 else kind(numbers)
-        dr.make_opaque(fresh)
-        self.params[key] = fresh
+        self.params[key] = like(self.params[key], key, value)
         return True
+
+
+def like(current: Any, key: str, value: tuple[float, ...]) -> Any:
+    """A value of the kind of ``current``, opaque, so that no kernel holds it; one number fills all parts.
+
+    Raises:
+        PrtError: for a parameter that holds no numbers, or another count of them.
+    """
+    import drjit as dr
+
+    kind = type(current)
+    if isinstance(current, float):
+        size = 1
+    elif dr.is_array_v(kind) and dr.is_float_v(kind) and not dr.is_tensor_v(kind) and dr.depth_v(kind) <= 2:
+        size = len(current)
+    else:
+        raise PrtError(
+            f"scene.animation changes {key!r}, which holds a {kind.__name__}, not numbers; "
+            "choose a color, a position or a single number"
+        )
+    if len(value) not in (1, size):
+        raise PrtError(
+            f"scene.animation gives {key!r} {len(value)} values, but it holds {size}; "
+            f"give {'1' if size == 1 else f'1 or {size}'} in start and end"
+        )
+    if isinstance(current, float):
+        return float(value[0])
+    numbers = list(value) if len(value) == size else list(value) * size
+    fresh = kind(*numbers) if dr.depth_v(kind) == 2 else kind(numbers)
+    dr.make_opaque(fresh)
+    return fresh
+
+
+def within(name: str, key: str) -> bool:
+    """Whether the parts of ``name`` are those of ``key``, in order, with some left out."""
+    rest = iter(key.split("."))
+    return all(part in rest for part in name.split("."))
 
 
 def near(name: str, known: list[str]) -> str:

@@ -52,7 +52,7 @@ def task(dimension=1, albedo=0.5):
 
 def settings(steps=150, **changes):
     training = {
-        "steps": steps, "batch": 256, "samples": 4, "adaptive": True, "loss": "relative", "detach": True,
+        "steps": steps, "batch": 256, "samples": 4, "per_state": 1, "adaptive": True, "loss": "relative", "detach": True,
         "epsilon": 0.1, "rate": 5e-3, "grid_rate": 2e-2, "decay": 0.33, "average": 0.9, "sampling": "bsdf",
         "emitters": True,
     }  # fmt: skip
@@ -80,8 +80,8 @@ def rendered(method, where, v):
 
 @pytest.mark.parametrize(
     "changes", [{}, {"loss": "plain"}, {"detach": False}, {"sampling": "uniform", "emitters": False},
-                {"encoding": "conditioned"}],
-    ids=["relative", "plain", "both_sides", "as_the_paper_samples", "conditioned"],
+                {"encoding": "conditioned"}, {"per_state": 2}],
+    ids=["relative", "plain", "both_sides", "as_the_paper_samples", "conditioned", "two_steps_a_state"],
 )  # fmt: skip
 def test_a_furnace_that_is_dimmed_is_solved_in_all_states(changes):
     where = task()

@@ -1,4 +1,4 @@
-"""Animation as data: exact ends, linear between and beyond, motions in order, both formats, one-line errors."""
+"""Animation as data: exact ends, linear between and beyond, order, both formats, one-line errors."""
 
 import json
 
@@ -158,7 +158,7 @@ PAPER = {
     "scale": [{"shape_names": ["C"], "start": 1, "end": 2}],
     "rotate": [
         {"shape_names": ["C"], "axis": [0, 1, 0], "translation": [1, 0, 0], "start": 0, "end": 90},
-        {"shape_names": ["EnvironmentMapEmitter"], "axis": [0, 1, 0], "translation": [0, 0, 0], "start": 90, "end": 120},
+        {"shape_names": ["EnvironmentMapEmitter"], "axis": [0, 1, 0], "start": 90, "end": 120},
     ],
     "camera": {"active": False, "pos_start": [0, 0, 0]},
 }  # fmt: skip
