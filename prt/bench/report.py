@@ -120,6 +120,7 @@ def make_sheets(spec: "Spec", plan: Layout, results: pd.DataFrame, reasons: dict
     sheets += run_sheets.error_sheets(results, plan)
     if spec.published:
         sheets.append(layout.quality_sheet(results, plan, "published", layout.PUBLISHED_TITLE))
+        sheets.append(run_sheets.published_costs(results, plan))
     return [sheet for i, sheet in enumerate(sheets) if sheet.rows or i == 0]
 
 

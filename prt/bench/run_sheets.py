@@ -76,6 +76,14 @@ def cost_sheet(results: pd.DataFrame, layout: Layout) -> Sheet:
     return sheet
 
 
+def published_costs(results: pd.DataFrame, layout: Layout) -> Sheet:
+    """The paper's own times and sizes, where it gives any, in a sheet of their own."""
+    own = results[results["published"].notna()]
+    sheet = cost_sheet(own.assign(value=own["published"], device="the paper's"), layout)
+    sheet.title, sheet.notes = "Published times and sizes (the paper's own GPU; not comparable)", []
+    return sheet
+
+
 def cost(value: float, metric: str, factor: float) -> str:
     """One figure of the cost sheet."""
     return "0" if metric == "time/bake" and value < BAKED else f"{value * factor:.3g}"

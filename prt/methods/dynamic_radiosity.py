@@ -57,8 +57,8 @@ class DynamicRadiosity(RadianceField):
         planes: of f_XV, and of kplanes; levels (0 for none), features, base_resolution, scale.
         state: of f_V; width, hidden_layers, octaves. Width 0 for none.
         direction_degree, normal_degree, albedo_bins, width, hidden_layers: of the network.
-        training: steps, batch, samples, per_state, adaptive, loss, detach, epsilon, rate, grid_rate, decay, average,
-            sampling, emitters.
+        training: steps, batch, samples, per_state, adaptive, loss, detach, epsilon, rate, grid_rate, decay,
+            average, sampling, emitters.
         static_state: of ``static``, one value a variable; null for 0.5 each.
         pixel_samples, fxaa, right_hand: as in :class:`~prt.methods.radiance_field.RadianceField`.
 

@@ -24,6 +24,7 @@ from prt.scene.scene import Scene
 from prt.scene.stage import Stage
 from prt.scene.view import View
 from prt.tasks.test_item import TestItem, floor_of
+from prt.trace.denoise import denoise
 
 #: raise when the content of the cache changes for equal settings
 FRAME_VERSION = 1
@@ -48,6 +49,7 @@ class Animate:
         given: further test states, listed (split ``given``).
         size: pixels a side.
         spp: paths a pixel of a reference, both halves together.
+        reference_denoise: denoise each half of a reference with its G-buffer; ``mape/noise`` is what is left.
         path_spp: of the references along the path, the same random numbers for all.
         max_depth: surface bounces of references and of path tracing. The equation that radiosity solves has
             all of them: eight are 4 % too dark in a white box.
@@ -65,7 +67,7 @@ class Animate:
     def __init__(
         self, scene: Scene, lighting: Any, name: str, states: int, corners: int, outside: int,
         path_steps: int, given: list[list[float]] | None, size: int, spp: int, path_spp: int,
-        max_depth: int, seed: int = 0,
+        reference_denoise: bool, max_depth: int, seed: int = 0,
     ):  # fmt: skip
         if not isinstance(lighting, OwnLights):
             raise PrtError(
@@ -82,6 +84,8 @@ class Animate:
         self.states, self.corners, self.outside, self.path_steps = states, corners, outside, path_steps
         self.given = [list(map(float, v)) for v in given or []]
         self.size, self.spp, self.path_spp, self.max_depth = size, spp, path_spp, max_depth
+        self.reference_denoise = bool(reference_denoise)
+        self._noise: dict[tuple[str, str, str], float] = {}
 
     # ---- the scene
 
@@ -197,26 +201,37 @@ class Animate:
     def _fingerprint(self) -> dict[str, Any]:
         return self.scene.lit_fingerprint()
 
-    def _item(self, split: str, name: str, v: list[float], view_name: str, view: View) -> TestItem:
+    def _rendered(self, split: str, v: list[float], view: View) -> dict[str, Tensor]:
+        """G-buffer and two halves of the reference of a test item, from the cache where they are there."""
         spp = self.path_spp if split == "path" else self.spp
         settings = {
             "scene": self._fingerprint, "v": v, "view": dataclasses.asdict(view), "spp": spp,
-            "seed": self.seed, "max_depth": self.max_depth,
+            "seed": self.seed, "max_depth": self.max_depth, "denoise": self.reference_denoise,
         }  # fmt: skip
 
         def build() -> dict[str, Tensor]:
             self.stage.set(v)
-            found = capture(self.stage.mi_scene, view).tensors()
+            gbuffer = capture(self.stage.mi_scene, view)
+            found = gbuffer.tensors()
             for half in (0, 1):
                 seed = REFERENCE_SEED + 2 * self.seed + half
-                found[f"half.{half}"] = self.render(torch.tensor(v), view, max(spp // 2, 1), seed)
+                image = self.render(torch.tensor(v), view, max(spp // 2, 1), seed)
+                found[f"half.{half}"] = (
+                    denoise(image, **gbuffer.guides()) if self.reference_denoise else image
+                )
             return found
 
-        found = cached("animated_frame", FRAME_VERSION, settings, build)
+        return cached("animated_frame", FRAME_VERSION, settings, build)
+
+    def _item(self, split: str, name: str, v: list[float], view_name: str, view: View) -> TestItem:
+        found = self._rendered(split, v, view)
         gbuffer = GBuffer.from_tensors(found, view)
         # the background is no part of a reference, nor of a method's image
         shown = gbuffer.hit.reshape(view.height, view.width, 1)
         halves = [found[f"half.{half}"] * shown for half in (0, 1)]
+        # two halves differ by twice the error of their mean
+        noise = evaluate(halves[0], halves[1], ["mape"])["mape"] / 2
+        self._noise[split, view_name, name] = noise if math.isfinite(noise) else math.nan
         reference = (halves[0] + halves[1]) / 2
         return TestItem(
             split, view_name, name, torch.tensor(v, dtype=torch.float32), gbuffer, {"full": reference},
@@ -234,21 +249,16 @@ class Animate:
         return {"full": image}
 
     def error_split(self, item: TestItem, image: Tensor, method: Any) -> dict[str, float]:
-        """The error of a second rendering of equal effort, which no method can get below on average."""
-        return {"mape/noise": self._noise(item.split, item.view_name, item.lighting_name)}
-
-    @functools.cache  # noqa: B019  (lives as long as the run)
-    def _noise(self, split: str, view_name: str, name: str) -> float:
-        wanted = (split, view_name, name)
-        item = next(i for i in self._tests if (i.split, i.view_name, i.lighting_name) == wanted)
-        _, _, v = next(s for s in self.test_states() if s[:2] == (split, name))
-        settings = {
-            "scene": self._fingerprint, "v": v, "view": dataclasses.asdict(item.gbuffer.view),
-            "spp": self.path_spp if split == "path" else self.spp, "seed": self.seed,
-            "max_depth": self.max_depth,
-        }  # fmt: skip
-        found = cached("animated_frame", FRAME_VERSION, settings, dict)
-        a, b = found["half.0"], found["half.1"]
-        # two halves differ by twice the error of their mean
-        value = evaluate(a, b, ["mape"])["mape"] / 2
-        return value if math.isfinite(value) else math.nan
+        """The reference's own noise; along a path also the error of the change from the frame before."""
+        found = {"mape/noise": self._noise[item.split, item.view_name, item.lighting_name]}
+        if item.split == "path":
+            along = [other for other in self._tests if other.split == "path"]
+            place = [other.lighting_name for other in along].index(item.lighting_name)
+            if place > 0:
+                before = along[place - 1]
+                gbuffer = before.gbuffer
+                values = method.shade(gbuffer, method.light(before.lighting)).detach().float().cpu()
+                change = image - gbuffer.image(values)
+                own = item.references["full"] - before.references["full"]
+                found["rmse/step"] = float((change - own).double().square().mean().sqrt())
+        return found
