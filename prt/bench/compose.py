@@ -119,7 +119,7 @@ def finish(cfg: DictConfig, chosen: dict[str, Any] | None = None) -> DictConfig:
     cfg = OmegaConf.create({key: cfg._get_node(key) for key in cfg if key != "hydra"})
     with open_dict(cfg):
         cfg.task.pop("_with_", None)
-    resolve(cfg)
+    resolve(cfg, names)
     with open_dict(cfg):
         cfg.choice = names
         cfg.device = device_kind(cfg.device)
@@ -128,7 +128,7 @@ def finish(cfg: DictConfig, chosen: dict[str, Any] | None = None) -> DictConfig:
     return cfg
 
 
-def resolve(cfg: DictConfig) -> None:
+def resolve(cfg: DictConfig, names: dict[str, str]) -> None:
     """Resolve in place; an error names the setting, which OmegaConf's own does not."""
     try:
         OmegaConf.resolve(cfg)
@@ -138,6 +138,13 @@ def resolve(cfg: DictConfig) -> None:
             try:
                 OmegaConf.select(cfg, key)
             except InterpolationResolutionError:
+                missing = re.search(r"'(task)\.(\w+)' not found", reason)
+                if missing:  # as a relighting task's environments with one that has none
+                    group = key.partition(".")[0]
+                    raise PrtError(
+                        f"{group}={names.get(group)} does not go with task={names.get('task')}, which has no "
+                        f"{missing[2]}; leave {group} out, and the task's own is taken"
+                    ) from error
                 raise PrtError(f"{key}: {reason}") from error
         raise PrtError(reason) from error
 

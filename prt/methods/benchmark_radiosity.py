@@ -174,9 +174,9 @@ def tune(task: Any, method: dict[str, Any], model: DynamicRadiosity, state: list
 def variables(task: Any, states: int, spp: int, size: int, seed: int = 11) -> list[dict[str, Any]]:
     """How much of the image each variable changes, by path tracing, and what moving it costs.
 
-    ``change/image``: mean absolute difference between the image at its start and at its end, over the mean
-    radiance, less what another seed differs by; all else in a few random states. ``time/move``: one change of
-    this variable alone.
+    ``change/image``: root mean square difference between the image at its start and at its end, over the mean
+    radiance, without the noise; all else in a few random states. ``time/move``: one change of this variable
+    alone.
     """
     rng = np.random.default_rng(seed)
     names, n = task.stage.animation.names, task.dimension
@@ -188,10 +188,11 @@ def variables(task: Any, states: int, spp: int, size: int, seed: int = 11) -> li
             low = rng.random(n)
             high = low.copy()
             low[number], high[number] = 0.0, 1.0
-            a, b = (task.render(torch.tensor(v), view, spp, 1) for v in (low, high))
-            other = task.render(torch.tensor(high), view, spp, 2)
-            size_of = float(b.mean()) or 1.0
-            changes.append(float(((a - b).abs().mean() - (b - other).abs().mean()).clamp(min=0)) / size_of)
+            # two independent differences: their noise is gone from the mean of their product
+            a, b = (task.render(torch.tensor(low), view, spp, k) for k in (1, 2))
+            c, d = (task.render(torch.tensor(high), view, spp, k) for k in (1, 2))
+            square = float(((c - a).double() * (d - b).double()).mean())
+            changes.append(max(square, 0.0) ** 0.5 / (float((a + b + c + d).mean()) / 4 or 1.0))
         rows.append(row("change/image", statistics.fmean(changes), f"variable={name}", n=states))
         at = [np.full(n, 0.5), np.full(n, 0.5)]
         at[1][number] = 0.9

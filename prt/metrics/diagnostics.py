@@ -65,7 +65,7 @@ _ALL = (
                "Difference of two neighbouring networks at their boundary, over the root mean square there."),
     Diagnostic("steps/", "steps", "lower", "", True, "Steps of training."),
     Diagnostic("change/", "change", "higher", "", True,
-               "Mean absolute difference of two path-traced images beyond their noise, over their mean."),
+               "Root mean square difference of two path-traced images without their noise, over their mean."),
     Diagnostic("rmse/step", "RMSE of change", "lower", "radiance", False,
                "RMSE of the change from the frame before, against the reference's own change: flicker."),
     Diagnostic("mape/noise", "MAPE of noise", "lower", "", False,

@@ -52,9 +52,9 @@ def task(dimension=1, albedo=0.5):
 
 def settings(steps=150, **changes):
     training = {
-        "steps": steps, "batch": 256, "samples": 4, "per_state": 1, "adaptive": True, "loss": "relative", "detach": True,
-        "epsilon": 0.1, "rate": 5e-3, "grid_rate": 2e-2, "decay": 0.33, "average": 0.9, "sampling": "bsdf",
-        "emitters": True,
+        "steps": steps, "batch": 256, "samples": 4, "per_state": 1, "adaptive": True, "loss": "relative",
+        "detach": True, "epsilon": 0.1, "rate": 5e-3, "grid_rate": 2e-2, "decay": 0.33, "average": 0.9,
+        "sampling": "bsdf", "emitters": True,
     }  # fmt: skip
     grid = {"levels": 2, "features": 2, "log2_table": 12, "base_resolution": 4, "scale": 2.0}
     planes = {"levels": 2, "features": 2, "base_resolution": 4, "scale": 2.0}
