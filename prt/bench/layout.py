@@ -18,6 +18,7 @@ FAILED, MISSING, UNAVAILABLE = "failed", "–", "n/a"
 #: what a split is called where its own name says too little
 SPLIT_NAMES = {
     "near": "near views", "far": "far views", "diffuse": "diffuse", "glossy": "glossy",
+    "inside": "random states", "corners": "corners", "outside": "states outside", "given": "given states",
     "points": "point lights", "spots": "spot lights", "path": "a moving light",
 }  # fmt: skip
 PUBLISHED_TITLE = "Published (the paper's own scenes, renderer and GPU; not comparable in absolute terms)"

@@ -149,6 +149,23 @@ def test_rows_of_a_benchmark_may_have_splits():
     assert [lead[-1] for lead, _ in found.rows] == ["same", "points"]
 
 
+def test_figures_of_the_whole_method_stand_in_all_its_rows():
+    spec = table.load_spec(str(ROOT / "experiments" / "performance" / "record.yaml"))
+    given = [
+        ("a", "full", "same", "rmse", 1.0), ("a", "full", "points", "rmse", 2.0),
+        ("a", "", "", "bytes/model", 8.0), ("b", "", "", "bytes/model", 9.0),
+    ]  # fmt: skip
+    rows = [
+        {"scene": "box", "method": "m", "variant": v, "component": c, "split": s, "metric": m, "value": x}
+        for v, c, s, m, x in given
+    ]
+    found = benchmark.sheet(spec, pd.DataFrame(rows, columns=COLUMNS))
+    cells = {tuple(lead[2:]): [entry.parts[0] for entry in row] for lead, row in found.rows}
+    assert cells == {
+        ("a", "full", "same"): ["1", "8"], ("a", "full", "points"): ["2", "8"], ("b", "", ""): ["–", "9"],
+    }  # fmt: skip
+
+
 def test_dry_run_measures_nothing(made, capsys):
     assert cli.main(["table", "made", "--dry-run"]) == 0
     assert "2 measurements" in capsys.readouterr().out and not CALLS and not made.exists()

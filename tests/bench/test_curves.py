@@ -174,3 +174,24 @@ def test_two_curves_cannot_share_a_file_nor_x_be_no_number(results):
     results["variant"] = results["variant"].str.replace("basis=64", "basis=all")
     with pytest.raises(PrtError, match="basis=all is no number"):
         lines(results, plan(results), curve(), "same")
+
+
+def test_labels_on_a_logarithmic_axis_stand_apart():
+    assert curve_charts.readable([4, 16, 64])
+    assert not curve_charts.readable([0.0023, 0.0031, 0.0034, 0.0088, 0.0089])
+    assert not curve_charts.readable([0.0, 1.0]) and not curve_charts.readable([])
+
+
+@pytest.mark.parametrize(("low", "high", "most"), [(0.05, 200.0, 6), (2.0, 30.0, 8), (20.0, 40.0, 8)])
+def test_plain_numbers_on_a_logarithmic_axis(low, high, most):
+    from matplotlib.figure import Figure
+
+    from prt.bench.chart import label_log
+
+    axis = Figure().subplots()
+    axis.set_xscale("log")
+    axis.set_xlim(low, high)
+    label_log(axis.xaxis)
+    shown = [x for x in axis.xaxis.get_majorticklocs() if low <= x <= high]
+    assert 2 <= len(shown) <= most
+    assert axis.xaxis.get_major_formatter()(shown[0], 0) == f"{shown[0]:g}"

@@ -46,6 +46,20 @@ def test_rows_show_what_the_metrics_saw(cells):
     assert errors["wavelet neural"] < errors["neural prt"] < errors["path traced"]
 
 
+def test_columns_that_were_judged_otherwise_do_not_stand_together(cells):
+    """A signed distance field in two sizes looks like one scene and is two."""
+
+    def references(cell, split, view, lighting):
+        brighter = 1.5 if cell.method == "neural_prt" else 1.0
+        return {
+            name: brighter * image for name, image in fake_references(cell, split, view, lighting).items()
+        }
+
+    rows, notes = figure.gather(cells, read_images(cells), PLAN, {"rows": [{"scene": "box"}]}, references)
+    assert rows == [] and len(notes) == 1
+    assert "neural prt has another reference" in notes[0] and "a row of its own" in notes[0]
+
+
 def test_drawn_with_labels_and_the_best_in_bold(cells, tmp_path):
     settings = {"rows": [{"scene": "box", "crops": [[0.1, 0.1, 0.3, 0.3], [0.5, 0.5, 0.3, 0.3]]}]}
     rows, _ = figure.gather(cells, read_images(cells), PLAN, settings, fake_references)
