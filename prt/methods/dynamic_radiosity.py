@@ -31,6 +31,8 @@ ENCODINGS = ("decomposed", "conditioned", "kplanes", "hashgrid_4d", "static")
 LOSSES = ("plain", "relative")
 #: radiance this many times what the scene's own lights reflect once: no scene has it, the fit runs away
 DIVERGED = 1e3
+#: share of the steps in which rates grow from nearly nothing: the first errors are far larger than later ones
+WARM_UP = 0.02
 #: parts of the fit after each of which the right-hand side gets twice the directions (section 4.3)
 FIFTHS = 5
 
@@ -193,8 +195,9 @@ class DynamicRadiosity(RadianceField):
         surface = SurfaceStates(self.stage.mi_scene, task.walk_views())
         residual = Residual(self, surface, task.dimension, generator)
         resumed = log.resume()
+        scale = residual.scale()
         if resumed is None:
-            net.scale.fill_(residual.scale())
+            net.scale.fill_(scale)
         features = [p for e in net.encodings for p in e.parameters()]
         known = {id(p) for p in features}
         rest = [p for p in net.parameters() if id(p) not in known]
@@ -205,7 +208,8 @@ class DynamicRadiosity(RadianceField):
         residual.step = first
         fit_loop(
             log, "dynamic_radiosity", settings["steps"], generator, {"net": net}, residual.loss, optimiser,
-            lambda progress: settings["decay"] ** int(3 * progress), average,
+            lambda progress: min(1.0, (progress + 1e-3) / WARM_UP) * settings["decay"] ** int(3 * progress),
+            average,
         )  # fmt: skip
 
 
@@ -218,6 +222,7 @@ class Residual:
         self.method, self.surface, self.dimension = method, surface, dimension
         self.generator, self.step = generator, 0
         self.v = torch.zeros(0)
+        self.brightest = math.inf
 
     def state(self) -> Float[Tensor, "n"]:
         """A uniform state, or the one that a static network is for."""
@@ -240,7 +245,11 @@ class Residual:
         return settings["samples"] * 2**fifth
 
     def scale(self) -> float:
-        """Mean light that surfaces reflect straight from the scene's emitters, over a few states."""
+        """What is usually reflected straight from the scene's emitters: the median over lit points.
+
+        The mean would be that of a few places in the sun; a room behind a window is a thousand times darker.
+        Sets ``brightest``, the mean, which the watch for divergence starts from.
+        """
         found = []
         generator_state = self.generator.get_state()
         for _ in range(8):
@@ -248,15 +257,17 @@ class Residual:
             self.method.stage.set(v)
             si, count = self.surface.sample(512, self.seed())
             found.append(
-                float(right_hand_side(self.method.stage.mi_scene, si, count, 8, self.seed()).known.mean())
+                right_hand_side(self.method.stage.mi_scene, si, count, 32, self.seed()).known.mean(1)
             )
         self.generator.set_state(generator_state)
-        mean = sum(found) / len(found)
-        if not mean > 0 or not math.isfinite(mean):
+        light = torch.cat(found)
+        lit = light[light > 0]
+        if not len(lit) or not lit.isfinite().all():
             raise PrtError(
                 "no light of the scene reaches its surfaces; task=animate needs a scene with emitters"
             )
-        return mean
+        self.brightest = float(light.mean())
+        return float(lit.median())
 
     def loss(self) -> Tensor:
         """Of the next step."""
@@ -287,19 +298,21 @@ class Residual:
         self._watch(left)
         difference = (left - right).square()
         if settings["loss"] == "relative":
-            middle = (left.detach() + right.detach()).mean(1, keepdim=True) / 2
-            difference = difference / (middle.square() + (settings["epsilon"] * net.scale) ** 2)
+            # by the left-hand side alone: divided by what the noisy right-hand side has a part in, bright
+            # samples count little, and a room whose light is found rarely is learnt as black
+            own = left.detach().mean(1, keepdim=True)
+            difference = difference / (own.square() + (settings["epsilon"] * net.scale) ** 2)
         else:
             difference = difference / net.scale.square()
         return difference.mean()
 
     @torch.no_grad()
     def _watch(self, left: Tensor) -> None:
-        mean, most = float(left.mean()), DIVERGED * float(self.method.net.scale)
+        mean, most = float(left.mean()), DIVERGED * self.brightest
         if mean > most:
             raise PrtError(
                 f"dynamic_radiosity diverged at step {self.step}: mean radiance {mean:.3g}, "
-                f"{mean / float(self.method.net.scale):.3g} times what the lights reflect once; the last "
+                f"{mean / self.brightest:.3g} times what the lights reflect once; the last "
                 "checkpoint is kept. Lower method.training.rate, or albedos near 1"
             )
 

@@ -63,7 +63,7 @@ class StateCode:
 class RadianceNetwork(torch.nn.Module):
     """Features of the place and the state, of direction, normal and albedo, decoded to RGB radiance.
 
-    The output is softplus: reflected light is not negative, and it may be large.
+    The output goes through :func:`positive`: reflected light is not negative, and it may be large.
 
     Args:
         encodings: modules from positions to features: with ``at(v)`` and ``forward(position, code)``, or
@@ -133,7 +133,7 @@ class RadianceNetwork(torch.nn.Module):
         x = torch.relu(torch.nn.functional.linear(features, first.weight[:, : self.inputs], code.bias))
         for layer in middle:
             x = torch.relu(layer(x))
-        return torch.nn.functional.softplus(last(x)) * self.scale
+        return positive(last(x)) * self.scale
 
     def forward(self, points: RadiancePoints, code: StateCode) -> Float[Tensor, "N 3"]:
         """Radiance that the points reflect towards ``wo``, without what they emit and mirror."""
@@ -142,3 +142,12 @@ class RadianceNetwork(torch.nn.Module):
     def nbytes(self) -> int:
         """All weights."""
         return sum(p.numel() * p.element_size() for p in self.parameters())
+
+
+def positive(x: Float[Tensor, "*N"]) -> Float[Tensor, "*N"]:
+    """1 + x above 0 and 1 / (1 - x) below: positive, smooth, and never flat.
+
+    Softplus and the exponential die out below: in a room that is mostly dark the first steps drive them to
+    where no gradient is left, and the network stays black.
+    """
+    return torch.where(x > 0, 1 + x, 1 / (1 - x.clamp(max=0)))

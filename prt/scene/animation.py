@@ -7,7 +7,9 @@ Our own format, as YAML or within ``conf/scene``::
       - {name: door, rotate: {shapes: [Door], axis: [0, 1, 0], centre: [1, 0, 2], start: 0, end: 80}}
       - {name: ball, scale: {shapes: [Ball], centre: [0, 0, 0], start: 0.5, end: 1.5}}   # or three factors
       - {name: wall, value: {parameter: WallBSDF.reflectance.value, start: [0.2, 0.2, 0.2], end: [0.5, 0, 0]}}
-      - {name: sun, rotate_environment: {axis: [0, 1, 0], start: 90, end: 120}}
+      - {name: sun, rotate_environment: {axis: [0, 1, 0], start: 90, end: 120}}   # on top of the file's
+
+``rotate_environment_to`` turns it to these angles instead, whatever the file says, as the paper's scenes do.
 
 A variable may have several of these at once. Several variables may move one shape: their motions follow each
 other in the order in which they are listed. The paper's own ``animation.json`` is read as well.
@@ -31,6 +33,7 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "scale": (("shapes", "start", "end"), ("centre",)),
     "value": (("parameter", "start", "end"), ()),
     "rotate_environment": (("start", "end"), ("axis",)),
+    "rotate_environment_to": (("start", "end"), ("axis",)),
 }
 #: the shape that stands for the environment in the paper's files
 ENVIRONMENT = "EnvironmentMapEmitter"
@@ -140,14 +143,26 @@ class Animation:
 
     def environment(self, v: Sequence[float]) -> Matrix | None:
         """The turn of the environment; None where nothing turns it."""
-        turns = [
-            motion.matrix(value) for motion, value in self._placed(v) if motion.kind == "rotate_environment"
-        ]
+        turns = [motion.matrix(value) for motion, value in self._placed(v) if "environment" in motion.kind]
         return None if not turns else np.linalg.multi_dot([*reversed(turns), np.eye(4)])
+
+    @property
+    def places_environment(self) -> bool:
+        """Whether the turn of the environment replaces that of the file."""
+        every = [*self.variables, *(variable for variable, _ in self.rest)]
+        return any(m.kind == "rotate_environment_to" for variable in every for m in variable.motions)
 
     def values(self, v: Sequence[float]) -> dict[str, tuple[float, ...]]:
         """Values of parameters; of two variables for one parameter the later one counts."""
         return {m.parameter: tuple(m.at(x).tolist()) for m, x in self._placed(v) if m.kind == "value"}
+
+    def scales_unevenly(self, shape: str) -> bool:
+        """Whether a motion has other factors along one axis than along another for this shape."""
+        every = [*self.variables, *(variable for variable, _ in self.rest)]
+        scales = [
+            m for variable in every for m in variable.motions if m.kind == "scale" and shape in m.shapes
+        ]
+        return any(len(set(factors)) > 1 for m in scales for factors in (m.start, m.end))
 
     def shapes(self) -> list[str]:
         """All that are named."""
@@ -217,11 +232,11 @@ def _variable(number: int, entry: dict[str, Any]) -> Variable:
 
 def _entries(what: str, given: Any) -> list[dict[str, Any]]:
     """A list of mappings, copied; an empty one where nothing is given."""
-    entries = [] if given is None else given
+    entries: Any = [] if given is None else given
     listed = isinstance(entries, Sequence) and not isinstance(entries, str)
     if not listed or not all(isinstance(entry, Mapping) for entry in entries):
         raise PrtError(f"scene.animation: {what} must be a list of mappings, one for each variable")
-    return [dict(entry) for entry in entries]
+    return [{str(key): value for key, value in entry.items()} for entry in entries]
 
 
 def _motion(name: str, kind: str, given: dict[str, Any]) -> Motion:
@@ -232,7 +247,7 @@ def _motion(name: str, kind: str, given: dict[str, Any]) -> Motion:
         allowed = ", ".join((*needed, *possible))
         raise PrtError(f"scene.animation, {name}: {kind}: {what} key {wrong[0]!r}; it takes {allowed}")
     start, end = (_numbers(f"{name}: {kind}.{key}", given[key]) for key in ("start", "end"))
-    counts = {"translate": (3,), "scale": (1, 3), "rotate": (1,), "rotate_environment": (1,)}.get(kind)
+    counts = {"translate": (3,), "scale": (1, 3), "rotate": (1,), "value": None}.get(kind, (1,))
     if not start or len(start) != len(end) or (counts and len(start) not in counts):
         wanted = " or ".join(map(str, counts)) if counts else "equally many, at least one,"
         raise PrtError(
@@ -248,8 +263,14 @@ def _motion(name: str, kind: str, given: dict[str, Any]) -> Motion:
     if "axis" in more and not np.linalg.norm(more["axis"]) > 0:
         raise PrtError(f"scene.animation, {name}: {kind}.axis={list(more['axis'])} has no direction")
     shapes = given.get("shapes", [])
-    if isinstance(shapes, str) or not all(isinstance(shape, str) for shape in shapes):
+    listed = isinstance(shapes, Sequence) and not isinstance(shapes, str)
+    if not listed or not all(isinstance(shape, str) for shape in shapes):
         raise PrtError(f"scene.animation, {name}: {kind}.shapes must be a list of shape ids")
+    if kind == "scale" and not min(*start, *end) > 0:
+        raise PrtError(
+            f"scene.animation, {name}: scale: all factors must be above 0, in start {list(start)} and "
+            f"end {list(end)}; begin with a small one, as 0.01"
+        )
     if kind in ("translate", "rotate", "scale") and not shapes:
         raise PrtError(f"scene.animation, {name}: {kind}.shapes is empty; name at least one shape")
     if kind == "value" and not str(given["parameter"]).strip():
@@ -260,8 +281,10 @@ def _motion(name: str, kind: str, given: dict[str, Any]) -> Motion:
 
 
 def _numbers(what: str, value: Any) -> tuple[float, ...]:
-    values = [value] if isinstance(value, (int, float)) and not isinstance(value, bool) else value
+    values: Any = [value] if isinstance(value, (int, float)) and not isinstance(value, bool) else value
     try:
+        if isinstance(values, str):  # of which the single letters may be numbers
+            raise TypeError("a text")
         numbers = tuple(float(x) for x in values)
     except (TypeError, ValueError) as error:
         raise PrtError(f"scene.animation, {what}={value!r} must be a number or a list of numbers") from error
@@ -276,18 +299,20 @@ def _paper(source: Mapping[str, Any]) -> Animation:
         if key not in (*GROUPS, "camera"):
             allowed = ", ".join(("variables", *GROUPS, "camera"))
             raise PrtError(f"scene.animation: unknown key {key!r}; allowed: {allowed}")
-    if dict(source.get("camera") or {}).get("active"):
+    camera = source.get("camera")
+    if isinstance(camera, Mapping) and camera.get("active"):
         raise PrtError("scene.animation: camera.active=true: the camera is no variable here, views are free")
     variables = []
     for group in GROUPS:
         for entry in _entries(group, source.get(group)):
             name = f"{group}{len(variables)}"
-            shapes = list(entry.pop("shape_names", []))
+            shapes = entry.pop("shape_names", [])
             if group == "common":
                 given = {"value": {"parameter": entry.pop("param_name", ""), **entry}}
             elif shapes == [ENVIRONMENT]:
                 entry.pop("translation", None)
-                given = {"rotate_environment": entry}
+                # the authors' code sets the map's transform, and their angles enclose the file's own
+                given = {"rotate_environment_to": entry}
             else:
                 if "translation" in entry:
                     entry["centre"] = entry.pop("translation")

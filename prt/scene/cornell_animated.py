@@ -17,7 +17,7 @@ BALL_RADIUS, BALL_START, BALL_END = 0.3, (-0.6, 0.3, 0.45), (0.62, 0.3, 0.25)
 LAMP_SIZE, LAMP_REACH, LAMP_BELOW = 0.5, 0.7, 0.02
 #: what the ball is made of
 BALLS: dict[str, dict[str, Any]] = {
-    "diffuse": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.7, 0.65, 0.5]}}},
+    "diffuse": twosided(diffuse((0.7, 0.65, 0.5))),
     "glossy": {"type": "twosided", "bsdf": {"type": "roughconductor", "material": "Al", "alpha": 0.25}},
     "mirror": {"type": "twosided", "bsdf": {"type": "conductor", "material": "Al"}},
     "glass": {"type": "dielectric", "int_ior": 1.5},
@@ -30,8 +30,8 @@ class CornellAnimated(Scene):
     The room is deeper than wide and has its front wall, so that views from inside see a closed room.
 
     Args:
-        variables: how many move, from 0 to 3: the box's turn, the ball's place, the lamp's place along x. What
-            stands still does so half way.
+        variables: how many move, from 0 to 3: the box's turn, the ball's place, the lamp's place along x.
+            What stands still does so half way.
         ball: what the ball is made of: diffuse, glossy, mirror or glass.
         albedo: of walls and box, in [0, 0.99].
         others: as in :class:`Scene`.
@@ -102,7 +102,8 @@ def animation() -> Animation:
             {"name": "box", "rotate": {
                 "shapes": ["box"], "axis": [0, 1, 0], "centre": centre, "start": 0.0, "end": 90.0}},
             {"name": "ball", "translate": {"shapes": ["ball"], "start": [0, 0, 0], "end": travel}},
-            {"name": "lamp", "translate": {"shapes": ["lamp"], "start": [0, 0, 0], "end": [LAMP_REACH, 0, 0]}},
+            {"name": "lamp", "translate": {
+                "shapes": ["lamp"], "start": [0, 0, 0], "end": [LAMP_REACH, 0, 0]}},
         ]
     })  # fmt: skip
 

@@ -39,8 +39,8 @@ class Many(Scene):
     """Eight objects between two walls, each of which moves, and fifteen materials that change colour.
 
     Args:
-        variables: how many of the 23 change, in the order object, material, object, material, ..., then what is
-            left of the materials; what does not change stays half way.
+        variables: how many of the 23 change, in the order object, material, object, material, ..., then what
+            is left of the materials; what does not change stays half way.
         others: as in :class:`Scene`.
 
     Raises:
@@ -106,13 +106,15 @@ def animation() -> Animation:
         else:
             # meshes stand at the start of their way
             way = [2 * REACH, 0, 0] if number % 4 else [0, 0, 2 * REACH]
-            objects.append({"name": f"move{number}", "translate": {"shapes": shapes, "start": [0, 0, 0], "end": way}})
+            move = {"shapes": shapes, "start": [0, 0, 0], "end": way}
+            objects.append({"name": f"move{number}", "translate": move})
     materials = []
     for name, (start, end) in COLORS.items():
         key = "diffuse_reflectance" if name in GLOSSY else "reflectance"
         value = {"parameter": f"{name}.{key}.value", "start": list(start), "end": list(end)}
         materials.append({"name": f"{name}_color", "value": value})
-    order = [one for pair in zip(objects, materials, strict=False) for one in pair] + materials[len(objects) :]
+    pairs = zip(objects, materials, strict=False)  # the other materials follow
+    order = [one for pair in pairs for one in pair] + materials[len(objects) :]
     return read_animation({"variables": order})
 
 

@@ -9,6 +9,7 @@ left in place as a dark surface it would stand in the very opening the environme
 import fnmatch
 import functools
 import hashlib
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -39,13 +40,15 @@ class MitsubaScene(Scene):
             sigma; smooth conductors, plastics and dielectrics become rough ones.
         emitting_shapes: ``remove`` or ``keep`` the shapes of area emitters.
         parameters: values for the ``$name`` parameters of an XML file.
-        animation: what moves in task animate, as :func:`~prt.scene.animation.read_animation` takes it; a path is
-            absolute, relative to the current folder or to the scene's file, or below ``PRT_DATA``.
+        animation: what moves in task animate, as :func:`~prt.scene.animation.read_animation` takes it; a path
+            is absolute, relative to the current folder or to the scene's file, or below ``PRT_DATA``.
         variables: how many of its variables move; null for all.
-        add: shapes and emitters that task animate has beside the file's, by id, as in Mitsuba's dict format.
+        add: shapes and emitters that task animate has beside the file's, by id, as in Mitsuba's dict format;
+            files they name are absolute or relative to the scene's file.
 
     Raises:
-        PrtError: for a missing or unreadable file, or a pattern that matches nothing.
+        PrtError: for a missing or unreadable file, a pattern that matches nothing, or an ``add`` that is no
+            mapping of mappings.
     """
 
     def __init__(
@@ -80,6 +83,11 @@ class MitsubaScene(Scene):
         self.parameters = {key: str(value) for key, value in (parameters or {}).items()}
         self.animation = read_animation(self._animation_source(animation)).subset(variables)
         self.add = _plain(add or {})
+        if not isinstance(self.add, dict) or not all(isinstance(part, dict) for part in self.add.values()):
+            raise PrtError(
+                f"scene.add={self.add!r} must map ids to shapes or emitters in Mitsuba's dict format, "
+                "as {lamp: {type: sphere, ...}}"
+            )
         self._shapes: dict[str, Any] | None = None
         self._sensor: SensorPose | None = None
 
@@ -95,25 +103,23 @@ class MitsubaScene(Scene):
         places = [Path(str(given)).expanduser()]
         if self.path is not None:
             places.append(self.path.parent / str(given))
-        if data_folder() is not None:
-            places.append(data_folder() / str(given))
+        data = data_folder()
+        if data is not None:
+            places.append(data / str(given))
         return next((place for place in places if place.is_file()), places[0])
 
     def load_lit(self):
         """The file as it is, lights and all, every shape by itself under its own id.
 
-        A shape without one is called after its BSDF, with a number: ``Wood_0001``, ``Wood_0002``.
+        A shape without one is called after its BSDF, with a number: ``Wood_0001``, ``Wood_0002``. An emitter
+        without one that belongs to no shape is called ``light0``, ``light1``, and so on.
 
         Raises:
-            PrtError: for a file without emitters, or one that cannot be built.
+            PrtError: for a file without emitters, one that cannot be built, or an added part that is called
+                like one of the file's.
         """
         mi = mitsuba()
         config, state = _parser_config(), self._parse()
-        emitters = [node for node in state.nodes if node.type == mi.ObjectType.Emitter]
-        if not emitters and not self.add:
-            raise PrtError(
-                f"scene.path={self.path or 'dict'} has no emitters, which task=animate needs; add a light"
-            )
         self._sensor = first_sensor(state)
         self._strip(state, lights=True)
         set_roughness(state, self.roughness)
@@ -121,17 +127,56 @@ class MitsubaScene(Scene):
         try:
             scene = mi.parser.instantiate(config, state)
             scene = scene[0] if isinstance(scene, (list, tuple)) else scene
+            # emitters of shapes come with the shapes
+            free = [e for e in scene.emitters() if not mi.has_flag(e.flags(), mi.EmitterFlags.Surface)]
+            taken = {part.id() for part in [*scene.shapes(), *free]}
+            for emitter in free:
+                # Mitsuba would call the parameters of one without a name after its address
+                if not emitter.id():
+                    number = next(n for n in itertools.count() if f"light{n}" not in taken)
+                    emitter.set_id(f"light{number}")
+                    taken.add(f"light{number}")
             if self.add:
-                # emitters of shapes come with the shapes
-                free = [e for e in scene.emitters() if not mi.has_flag(e.flags(), mi.EmitterFlags.Surface)]
-                own = {shape.id(): shape for shape in scene.shapes()}
-                own |= {f"light{number}": emitter for number, emitter in enumerate(free)}
+                own = [*scene.shapes(), *free]
+                # materials by themselves too: of a part alone, none is found by its name
+                bsdfs = dict.fromkeys(s.bsdf() for s in scene.shapes() if s.bsdf() is not None)
+                own = [*(b for b in bsdfs if b.id() and not b.id().startswith("_unnamed_")), *own]
+                names = [part.id() for part in own]
+                for key in self.add:
+                    if key in names:
+                        raise PrtError(
+                            f"scene.add: {self.path or 'the dict'} itself has a part called {key!r}; "
+                            "call the added one otherwise"
+                        )
                 # built one by one: together, equal shapes would be merged and lose their names
-                more = {key: mi.load_dict({"id": key, **_with_transforms(part)}) for key, part in self.add.items()}
-                scene = mi.load_dict({"type": "scene", **own, **more})
+                more = [mi.load_dict({**part, "id": key}) for key, part in self._added().items()]
+                parts = dict(zip((f"part{i}" for i in range(len(own) + len(more))), own + more, strict=True))
+                scene = mi.load_dict({"type": "scene", **parts})
+                # the keys, which may not be the names (no dots, none twice), have become the names
+                for part, name in zip(parts.values(), [*names, *self.add], strict=True):
+                    part.set_id(name)
+        except PrtError:
+            raise
         except Exception as error:
             raise PrtError(f"cannot build scene.path={self.path or 'dict'}: {_one_line(error)}") from error
+        if not scene.emitters():
+            raise PrtError(
+                f"scene.path={self.path or 'dict'} has no emitters, which task=animate needs; add a light"
+            )
         return scene
+
+    def _added(self) -> dict[str, Any]:
+        """The added parts with transforms and absolute file names."""
+        folder = self.path.parent if self.path is not None else Path.cwd()
+
+        def placed(value: Any) -> Any:
+            if not isinstance(value, dict):
+                return value
+            named = isinstance(value.get("filename"), str)
+            more = {"filename": str(_find(value["filename"], [folder]))} if named else {}
+            return {**{key: placed(part) for key, part in value.items()}, **more}
+
+        return _with_transforms(placed(self.add))
 
     def lit_fingerprint(self) -> dict[str, Any]:
         """As for other tasks, with emitters and the files these name."""
@@ -142,7 +187,7 @@ class MitsubaScene(Scene):
             for n in state.nodes
             if n.type == mi.ObjectType.Emitter and "filename" in n.props
         ]
-        files = [file for file in names if isinstance(file, str)]
+        files = [file for file in names if isinstance(file, str)] + _filenames(self._added())
         for file in files:
             if not Path(file).is_file():
                 raise PrtError(
@@ -250,7 +295,7 @@ class MitsubaScene(Scene):
         return {f"{_key(shape.id())}_{i}": shape for i, shape in enumerate(shapes)}
 
     def _strip(self, state, lights: bool = False) -> None:
-        """Take out emitters (unless they are wanted), sensors, integrators, and shapes that are to be opened."""
+        """Take out emitters (unless they are wanted), sensors, integrators, and shapes to be opened."""
         mi = mitsuba()
         unwanted = (mi.ObjectType.Sensor, mi.ObjectType.Integrator)
         unwanted += () if lights else (mi.ObjectType.Emitter,)
@@ -343,6 +388,14 @@ def _with_transforms(value: Any) -> Any:
     ):
         return mitsuba().ScalarTransform4f(value)
     return value
+
+
+def _filenames(value: Any) -> list[str]:
+    """All file names in nested dicts."""
+    if not isinstance(value, dict):
+        return []
+    own = [value["filename"]] if isinstance(value.get("filename"), str) else []
+    return own + [name for part in value.values() for name in _filenames(part)]
 
 
 def _jsonable(value: Any) -> Any:

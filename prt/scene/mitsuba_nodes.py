@@ -41,11 +41,11 @@ def first_sensor(state) -> SensorPose | None:
 
 
 def name_shapes(state) -> None:
-    """Give every shape without an id one: that of its BSDF (or its plugin) and a number, as in ``Wood_0001``."""
+    """Give every shape without an id one: its BSDF's (or its plugin's name) and a number: ``Wood_0001``."""
     mi = mitsuba()
     shapes = [node for node in state.nodes if node.type == mi.ObjectType.Shape]
-    # the parser itself numbers what has no id
-    unnamed = [node for node in shapes if not node.props.id() or node.props.id().startswith("_")]
+    # Mitsuba itself writes _unnamed_0; other names may begin with an underscore as well and are kept
+    unnamed = [n for n in shapes if not n.props.id() or n.props.id().startswith("_unnamed_")]
     taken, counts = {node.props.id() for node in shapes}, dict[str, int]()
     for node in unnamed:
         bsdfs = [i for _, i in children(node) if state.nodes[i].type == mi.ObjectType.BSDF]

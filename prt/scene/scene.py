@@ -106,8 +106,8 @@ class Scene:
         lights = self.lights()
         if not lights:
             raise PrtError(
-                f"scene {self.name} has no lights of its own, which task=animate needs; choose cornell_animated, "
-                "many, or a Mitsuba file with emitters (scene=mitsuba)"
+                f"scene {self.name} has no lights of its own, which task=animate needs; choose "
+                "cornell_animated, many, or a Mitsuba file with emitters (scene=mitsuba)"
             )
         content = {"type": "scene", **self.description(), **lights}
         for name, part in content.items():

@@ -1,6 +1,7 @@
 """A lit scene that moves: its state changes in place, without loading it anew or compiling kernels again."""
 
 import difflib
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -40,6 +41,15 @@ class Stage:
         self._shape_keys = {name: self._keys_of(name) for name in self.animation.shapes()}
         self._value_keys = {name: self._parameter(name) for name in self.animation.values(start)}
         self._environment = self._environment_key() if self.animation.environment(start) is not None else ""
+        self._check_round()
+        for name, key in self._value_keys.items():
+            # a scene reads sampling weights by itself; other plain numbers become part of the kernels
+            if isinstance(self.params[key], float) and not key.endswith(".sampling_weight"):
+                warnings.warn(
+                    f"scene.animation changes {name!r}, which Mitsuba compiles into its kernels: each new "
+                    "state compiles them again; the rough version of the BSDF (roughplastic) needs none",
+                    stacklevel=2,
+                )
         self.set([0.5] * self.animation.dimension)
 
     # ---- what the names of the animation stand for
@@ -91,25 +101,46 @@ class Stage:
         self._known(found[0])
         return found[0]
 
+    def _check_round(self) -> None:
+        """Mitsuba makes a sphere of what would be an egg, and says so only in its log."""
+        plugins = {shape.id(): shape.class_name().lower() for shape in self.mi_scene.shapes()}
+        for shape in self.animation.shapes():
+            kind = plugins.get(shape)
+            if kind in ("sphere", "cylinder") and self.animation.scales_unevenly(shape):
+                raise PrtError(
+                    f"scene.animation scales the shape {shape!r} by three different factors, which a {kind} "
+                    "cannot follow; give one factor, or make it a mesh"
+                )
+
     # ---- changing the state
 
     def set(self, v: Sequence[float]) -> None:
         """Move everything to a state; what stays as it is costs nothing.
 
         Raises:
-            PrtError: for a state of another length, or one that is not finite.
+            PrtError: for a state of another length, one that is not finite, or one beyond [0, 1] in which
+                something is scaled to nothing; the state is then what it was.
         """
         state = self.animation.check(v)
         if state == self.state:
             return
+        transforms = self.animation.transforms(state)
+        for shape, matrix in transforms.items():
+            # a sphere that is turned inside out would stay so in later states
+            if not np.linalg.det(matrix[:3, :3]) > 0:
+                raise PrtError(
+                    f"state {state} scales the shape {shape!r} to nothing or inside out; stay closer to "
+                    "[0, 1], or have scene.animation scale it less"
+                )
         changed = False
-        for shape, matrix in self.animation.transforms(state).items():
+        for shape, matrix in transforms.items():
             changed |= self._changes(shape, matrix) and self._move(shape, matrix)
         for name, value in self.animation.values(state).items():
             changed |= self._changes(name, np.array(value)) and self._put(self._value_keys[name], value)
         turn = self.animation.environment(state)
         if turn is not None and self._changes("environment map", turn):
-            changed |= self._place(self._environment, turn @ self._known(self._environment))
+            rest = np.eye(4) if self.animation.places_environment else self._known(self._environment)
+            changed |= self._place(self._environment, turn @ rest)
         if changed:
             self.params.update()
         self.state = state

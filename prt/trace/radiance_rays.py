@@ -47,7 +47,7 @@ def rows(values, count: int) -> Float[Tensor, "N C"]:
     """A Dr.Jit vector as a torch tensor with a row for each entry, in memory of its own."""
     array = np.array(values, dtype=np.float32)
     array = array[None] if array.ndim == 1 else array
-    return torch.from_numpy(np.ascontiguousarray(np.broadcast_to(array, (array.shape[0], count)).T))
+    return torch.from_numpy(np.broadcast_to(array, (array.shape[0], count)).T.copy())
 
 
 def follow(mi_scene, ray, count: int, seed: int, weight=None, pdf=None, origin=None, keep=False) -> Answers:

@@ -10,7 +10,7 @@ from prt.errors import PrtError
 from prt.methods import dynamic_radiosity as module
 from prt.methods.base import Silent
 from prt.methods.dynamic_radiosity import DynamicRadiosity
-from prt.nn.radiance_network import RadiancePoints
+from prt.nn.radiance_network import RadiancePoints, positive
 from prt.scene.capture import capture
 from prt.scene.mitsuba_setup import mitsuba
 from prt.scene.view import View
@@ -153,6 +153,16 @@ def test_settings_out_of_range_are_one_line(changes, words):
         DynamicRadiosity(**settings(**changes))
 
 
+def test_the_output_is_positive_smooth_and_never_flat():
+    x = torch.tensor([-50.0, -1.0, -1e-4, 0.0, 1e-4, 50.0], requires_grad=True)
+    y = positive(x)
+    assert (y > 0).all() and (y[1:] > y[:-1]).all()
+    (slope,) = torch.autograd.grad(y.sum(), x)
+    torch.testing.assert_close(
+        slope, torch.tensor([1 / 51**2, 0.25, 1.0, 1.0, 1.0, 1.0]), atol=1e-3, rtol=1e-3
+    )
+
+
 def test_the_network_knows_the_state_once_and_not_per_point():
     method = DynamicRadiosity(**settings())
     net = method.network(([-1.0] * 3, [1.0] * 3), 3)
@@ -163,4 +173,4 @@ def test_the_network_knows_the_state_once_and_not_per_point():
     features = net.features(points, code)
     # the folded first layer is the plain one on all inputs
     plain = net.decoder(torch.cat([features, net.state(v).expand(7, -1)], dim=1))
-    torch.testing.assert_close(net(points, code), torch.nn.functional.softplus(plain) * net.scale)
+    torch.testing.assert_close(net(points, code), positive(plain) * net.scale)

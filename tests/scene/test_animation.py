@@ -4,8 +4,11 @@ import json
 
 import numpy as np
 import pytest
+from data_scenes import need_data
+from scipy.spatial.transform import Rotation
 
 from prt.errors import PrtError
+from prt.paths import data_file
 from prt.scene.animation import Animation, read_animation, rotation
 
 MOVE = {
@@ -65,6 +68,38 @@ def test_turning_keeps_the_centre_and_follows_the_right_hand():
         1 + 2 * np.cos(np.radians(77))
     )
     np.testing.assert_allclose(r @ [1, -2, 0.5], [1, -2, 0.5], atol=1e-14)
+
+
+def test_rotation_is_that_of_scipy():
+    rng = np.random.default_rng(0)
+    for axis, degrees in [*zip(rng.normal(size=(20, 3)), rng.uniform(-720, 720, 20), strict=True)]:
+        unit = axis / np.linalg.norm(axis)
+        expected = Rotation.from_rotvec(np.radians(degrees) * unit).as_matrix()
+        np.testing.assert_allclose(rotation(axis.tolist(), degrees), expected, atol=1e-13)
+    for quarter in range(-8, 9):  # exact, not nearly
+        turn = rotation([0, 0, 3], 90.0 * quarter)
+        assert (turn == np.round(turn)).all()
+        expected = Rotation.from_euler("z", 90 * quarter, degrees=True).as_matrix()
+        np.testing.assert_allclose(turn, expected, atol=1e-13)
+
+
+def test_order_of_motions_against_matrices_by_hand():
+    """Scaled about (1, 0, 0), then turned by 90 degrees about z, then moved: one variable, three motions."""
+    steps = [
+        {"scale": {"shapes": ["a"], "centre": [1, 0, 0], "start": 1, "end": 2}},
+        {"rotate": {"shapes": ["a"], "axis": [0, 0, 1], "start": 0, "end": 90}},
+        {"translate": {"shapes": ["a"], "start": [0, 0, 0], "end": [0, 0, 5]}},
+    ]
+    scale = np.array([[2, 0, 0, -1], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1.0]])
+    turn = np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+    move = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 5], [0, 0, 0, 1.0]])
+    one = of({"name": "all", **{key: value for step in steps for key, value in step.items()}})
+    three = of(*({"name": str(i), **step} for i, step in enumerate(steps)))
+    for found in (one.transforms([1.0]), three.transforms([1.0, 1.0, 1.0])):
+        assert (found["a"] == move @ turn @ scale).all()
+    assert moved(one.transforms([1.0])["a"], (2, 0, 0)).tolist() == [0, 3, 5]
+    backwards = of(*({"name": str(i), **step} for i, step in enumerate(steps[::-1])))
+    assert (backwards.transforms([1.0, 1.0, 1.0])["a"] == scale @ turn @ move).all()
 
 
 def test_scale_is_even_or_by_axis_about_its_centre():
@@ -179,6 +214,18 @@ def test_the_papers_format(tmp_path):
         read_animation({"translat": []})
 
 
+def test_the_papers_own_dining_room():
+    need_data()
+    a = read_animation(data_file("scenes/dining-room/animation.json"))
+    assert a.dimension == 7 and len(set(a.names)) == 7
+    start, end = np.zeros(7), np.ones(7)
+    assert a.values(start) == {"WallsBSDF.reflectance.value": (0.2, 0.2, 0.2)}
+    assert a.values(end) == {"WallsBSDF.reflectance.value": (0.5, 0.05, 0.3)}
+    assert a.transforms(end)["Ceramic_0005"][:3, 3].tolist() == [0.6, 0.0, 0.2]
+    assert a.transforms(start)["Artwork"][:3, 3].tolist() == [0.0, -0.4, 0.0]
+    assert (a.environment(start)[:3, :3] == rotation([0, 1, 0], 90)).all()
+
+
 def changed(entry: dict, kind: str, **keys) -> dict:
     out = json.loads(json.dumps(entry))
     out[kind].update(keys)
@@ -201,6 +248,18 @@ def changed(entry: dict, kind: str, **keys) -> dict:
         (changed(MOVE, "translate", shapes=None), "missing key 'shapes'"),
         (changed(MOVE, "translate", shapes=[]), "empty"),
         (changed(MOVE, "translate", shapes="a"), "list of shape ids"),
+        (changed(MOVE, "translate", shapes=5), "list of shape ids"),
+        (changed(MOVE, "translate", shapes=["a", 5]), "list of shape ids"),
+        (changed(MOVE, "translate", end=[0, 0, float("nan")]), "finite"),
+        (changed(MOVE, "translate", end=None), "missing key 'end'"),
+        (changed(MOVE, "translate", end=True), "number"),
+        (changed(TURN, "rotate", axis=None), "missing key 'axis'"),
+        (changed(TURN, "rotate", centre=[0, 0]), "centre must have 3"),
+        (changed(GROW, "scale", start=0), "above 0"),
+        (changed(GROW, "scale", start=[1, 1, 1], end=[1, -1, 1]), "above 0"),
+        (changed(PAINT, "value", parameter=None), "missing key 'parameter'"),
+        (changed(PAINT, "value", start="123", end="456"), "number"),
+        (changed(SKY, "rotate_environment", shapes=["a"]), "unknown key 'shapes'"),
         (changed(TURN, "rotate", axis=[0, 0, 0]), "axis"),
         (changed(TURN, "rotate", axis=[0, 1]), "axis"),
         (changed(TURN, "rotate", start=[0, 0, 0], end=[0, 0, 0]), "rotate"),
@@ -213,6 +272,25 @@ def changed(entry: dict, kind: str, **keys) -> dict:
 def test_mistakes_are_named_in_one_line(entry, named):
     with pytest.raises(PrtError, match="scene.animation") as caught:
         of(entry)
+    assert named in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("entry", "named"),
+    [
+        ({"translate": [{"shape_names": "Door", "start": [0, 0, 0], "end": [1, 0, 0]}]}, "list of shape ids"),
+        ({"translate": [{"start": [0, 0, 0], "end": [1, 0, 0]}]}, "empty"),
+        ({"common": [{"start": 0, "end": 1}]}, "parameter is empty"),
+        ({"rotate": [{"shape_names": ["A"], "start": 0, "end": 1}]}, "missing key 'axis'"),
+        ({"rotate": {"shape_names": ["A"]}}, "list of mappings"),
+        ({"translate": ["A"]}, "list of mappings"),
+        ({"camera": {"active": 1}}, "views are free"),
+        ({"variables": [], "camera": {}}, "unknown key 'camera'"),
+    ],
+)
+def test_mistakes_in_the_papers_format(entry, named):
+    with pytest.raises(PrtError, match=r"scene\.animation") as caught:
+        read_animation(entry)
     assert named in str(caught.value) and "\n" not in str(caught.value)
 
 

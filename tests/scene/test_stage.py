@@ -341,6 +341,172 @@ def test_a_moved_scene_looks_like_one_built_there():
     assert a.mean() == pytest.approx(b.mean(), rel=2e-3)
 
 
+def value(parameter: str, start, end) -> dict:
+    return {"name": parameter, "value": {"parameter": parameter, "start": start, "end": end}}
+
+
+def zoo(folder) -> tuple[dict, tuple[dict, ...]]:
+    """What the scene above lacks: environment map, spot, disk, float parameters, a mesh with odd normals."""
+    mi = mitsuba()
+    image = np.ones((8, 16, 3), dtype=np.float32)
+    image[2:4, 2:5] = (9.0, 4.0, 1.0)
+    mi.Bitmap(image).write(str(folder / "sky.exr"))
+    lines = ["v -3 -1 -3", "v 3 -1 -3", "v 3 -1 3", "v -3 -1 3", "vn 0.6 0.8 0", "vn 0 0.8 0.6"]
+    (folder / "odd.obj").write_text("\n".join([*lines, "f 1//1 3//2 2//1", "f 1//1 4//1 3//2", ""]))
+    content = {
+        "odd": {"type": "obj", "filename": str(folder / "odd.obj"), "bsdf": GREY},
+        "coat": {"type": "cube", "bsdf": {"type": "roughplastic", "alpha": 0.1}},
+        "metal": {
+            "type": "sphere",
+            "center": [2, 1, 0],
+            "radius": 0.6,
+            "bsdf": {"type": "roughconductor", "alpha": 0.1},
+        },
+        "disk": {"type": "disk", "to_world": LAMP, "bsdf": GREY, "emitter": area(3.0, 3.0, 3.0)},
+        "spot": {"type": "spot", "to_world": LAMP, "intensity": {"type": "rgb", "value": [9.0, 9.0, 9.0]}},
+        "sky": {"type": "envmap", "filename": str(folder / "sky.exr")},
+    }
+    variables = (
+        {"name": "turn", "rotate_environment": {"start": 0, "end": 90}},
+        value("coat.alpha", 0.05, 0.5),
+        value("metal.alpha.value", 0.05, 0.5),
+        value("coat.eta", 1.3, 1.9),
+        value("sky.scale", 0.5, 1.5),
+        value("spot.sampling_weight", 0.5, 2.0),
+        value("spot.cutoff_angle", 20, 50),
+        {"name": "spot", "translate": {"shapes": ["spot"], "start": [0, 0, 0], "end": [1, 0, 0]}},
+        {"name": "disk", "rotate": {"shapes": ["disk"], "axis": [1, 0, 0], "start": 0, "end": 30}},
+        {
+            "name": "metal",
+            "scale": {"shapes": ["metal"], "centre": [2, 1, 0], "start": 0.5, "end": 1.5},
+            "rotate": {"shapes": ["metal"], "axis": [0, 1, 0], "start": 0, "end": 50},
+        },
+        {"name": "odd", "translate": {"shapes": ["odd"], "start": [0, 0, 0], "end": [0, 0.3, 0]}},
+    )
+    return content, variables
+
+
+def test_every_kind_of_parameter_changes_the_image_and_compiles_nothing(tmp_path):
+    import drjit as dr
+
+    mi = mitsuba()
+    content, variables = zoo(tmp_path)
+    where, count = stage(content=content, more=variables), len(variables)
+    camera = {
+        "type": "perspective",
+        "to_world": mi.ScalarTransform4f().look_at([0, 3, 7], [1, 0, 0], [0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": 24, "height": 24},
+    }
+    sensor, integrator = mi.load_dict(camera), mi.load_dict({"type": "path", "max_depth": 4})
+
+    def image(v):
+        where.set(v.tolist())
+        return np.array(mi.render(where.mi_scene, sensor=sensor, integrator=integrator, spp=8, seed=1))
+
+    rng = np.random.default_rng(2)
+    for v in rng.random((2, count)):
+        image(v)
+    base = np.full(count, 0.4)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        first = image(base)
+        for i, variable in enumerate(variables):
+            other = base.copy()
+            other[i] = 0.9
+            assert np.abs(image(other) - first).mean() > 1e-5 * first.mean(), variable["name"]
+        np.testing.assert_allclose(image(base), first, rtol=1e-4, atol=1e-5)
+        history = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
+    assert history and [k for k in history if not k["cache_hit"]] == []
+
+
+def test_normals_of_the_file_are_kept(tmp_path):
+    """Moving vertices makes Mitsuba compute smooth normals anew; those of the file must win."""
+    content, variables = zoo(tmp_path)
+    turn = {"name": "turn", "rotate": {"shapes": ["odd"], "axis": [0, 1, 0], "start": 0, "end": 90}}
+    where = stage(content=content, more=(variables[-1], turn))
+
+    def normals():
+        return np.array(mitsuba().traverse(where.mi_scene)["odd.vertex_normals"]).reshape(-1, 3)
+
+    where.set([0.0, 0.0])
+    rest = normals()
+    assert len(np.unique(rest.round(4), axis=0)) == 2
+    where.set([1.0, 0.0])
+    assert (normals() == rest).all()
+    where.set([1.0, 1.0])
+    np.testing.assert_allclose(normals(), np.stack([rest[:, 2], rest[:, 1], -rest[:, 0]], axis=1), atol=1e-6)
+
+
+@pytest.mark.parametrize("mesh", [False, True])
+def test_nothing_is_scaled_inside_out(mesh):
+    """It is an error that names the shape, and the state stays what it was."""
+    shape = "box" if mesh else "ball"
+    grow = {"name": "grow", "scale": {"shapes": [shape], "centre": [4, 0, 0], "start": 0.1, "end": 1.1}}
+    where = stage("paint", more=(grow,))
+    where.set([0.3, 0.0])
+    before = everything(where)
+    for beyond in (-0.1, -0.5):
+        with pytest.raises(PrtError, match=f"'{shape}' to nothing or inside out") as caught:
+            where.set([0.8, beyond])
+        assert "\n" not in str(caught.value)
+        assert everything(where) == before and where.state == [0.3, 0.0]
+    where.set([0.3, 1.0])
+    where.set([0.3, 0.0])
+    assert everything(where) == before
+
+
+def test_a_sphere_makes_no_egg():
+    egg = {"name": "egg", "scale": {"shapes": ["ball"], "start": [1, 1, 1], "end": [1, 2, 1]}}
+    with pytest.raises(PrtError, match="'ball' by three different factors, which a sphere") as caught:
+        stage(more=(egg,))
+    assert "scene.animation" in str(caught.value) and "\n" not in str(caught.value)
+    even = {"name": "even", "scale": {"shapes": ["ball"], "centre": [4, 0, 0], "start": 1, "end": [2] * 1}}
+    where = stage(more=(even,))
+    where.set([1.0])
+    assert height(where, 4.9, 0.0) == pytest.approx((1 - 0.81) ** 0.5, abs=1e-4)
+
+
+def test_rectangles_turn_and_stretch():
+    """The floor, with a matrix of its own, tilted by 30 degrees; the lamp twice as long along x."""
+    tilt = {
+        "name": "tilt",
+        "rotate": {"shapes": ["floor"], "axis": [0, 0, 1], "centre": [0, -1, 0], "start": 0, "end": 30},
+    }
+    long = {
+        "name": "long",
+        "scale": {"shapes": ["lamp"], "centre": [0, 3, 0], "start": [1, 1, 1], "end": [2, 1, 1]},
+    }
+    where = stage(more=(tilt, long))
+    where.set([1.0, 1.0])
+    assert height(where, 3.0, 3.0) == pytest.approx(3 * np.tan(np.radians(30)) - 1, abs=1e-5)
+    si = hits(where, (3, 2, 3), (0, -1, 0))
+    np.testing.assert_allclose(np.array(si.n).reshape(3), [-0.5, 0.75**0.5, 0], atol=1e-5)
+    for x, seen in ((0.95, True), (1.05, False)):
+        si = hits(where, (x, 2.0, 0.0), (0, 1, 0))
+        assert bool(si.is_valid()[0]) == seen
+
+
+def test_an_equal_state_updates_nothing(monkeypatch):
+    where, updates = stage("slide", "paint"), []
+    where.set([0.2, 0.4])
+    monkeypatch.setattr(type(where.params), "update", lambda self, *a, **k: updates.append(1))
+    where.set([0.2, 0.4])
+    where.set(np.array([0.2, 0.4]))
+    where.set(torch.tensor([0.2, 0.4], dtype=torch.float64))
+    assert updates == []
+    where.set([0.2, 0.5])
+    assert updates == [1]
+
+
+def test_what_is_compiled_into_kernels_is_said_beforehand():
+    content = {**parts(), "ball": {"type": "cube", "bsdf": {"type": "plastic"}}}
+    with pytest.warns(UserWarning, match="'ball.bsdf.eta'.*compiles") as caught:
+        where = stage(content=content, more=(value("ball.bsdf.eta", 1.3, 1.7),))
+    assert len(caught) == 1 and "\n" not in str(caught[0].message)
+    where.set([1.0])
+    assert mitsuba().traverse(where.mi_scene)["ball.bsdf.eta"] == pytest.approx(1.7)
+
+
 @pytest.mark.parametrize(
     ("variable", "named"),
     [
