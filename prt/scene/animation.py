@@ -38,7 +38,7 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 #: the shape that stands for the environment in the paper's files
 ENVIRONMENT = "EnvironmentMapEmitter"
 #: groups of the paper's files, in the order in which its variables are numbered
-GROUPS = ("common", "translate", "scale", "rotate")
+GROUPS = ("common", "translate", "rotate", "scale")
 
 Matrix = Float[np.ndarray, "4 4"]
 

@@ -153,7 +153,7 @@ def test_every_variable_shows(stages, name):
     where, stage = stages(name)
     mi, n = mitsuba(), stage.animation.dimension
     integrator = mi.load_dict({"type": "path", "max_depth": 4})
-    sensors = [mi.load_dict(sensor_description(view)) for view in where.views("train", 4, 48)]
+    sensors = [mi.load_dict(sensor_description(view)) for view in where.views("train", 2, 32)]
 
     def images(v):
         stage.set(v)
@@ -175,13 +175,13 @@ def test_every_variable_shows(stages, name):
 def test_cameras_stand_free_in_every_state(stages, name):
     where, stage = stages(name)
     n = stage.animation.dimension
-    views = where.views("train", 6, 24) + where.views("far", 6, 24)
-    for v in ([0.0] * n, [0.5] * n, [1.0] * n, *states(n, 1)):
+    views = where.views("train", 3, 16) + where.views("far", 3, 16)
+    for v in ([0.0] * n, [0.5] * n, [1.0] * n):
         stage.set(v)
         for view in views:
             g = capture(stage.mi_scene, view)
             distance = np.linalg.norm(g.position.numpy() - np.array(view.origin), axis=1)
-            assert len(g) > 0.5 * 24 * 24, f"{name}, {v}: most of {view} is empty"
+            assert len(g) > 0.5 * 16 * 16, f"{name}, {v}: most of {view} is empty"
             assert distance.min() > 0.05, f"{name}, {v}: {view} touches something"
 
 
