@@ -152,17 +152,7 @@ def tune(task: Any, method: dict[str, Any], model: DynamicRadiosity, state: list
     )  # fmt: skip
     # the directions that the fit had in the end, and rates as at its beginning, once decayed
     residual.step = settings["steps"] - steps
-    features = [p for e in model.net.encodings for p in e.parameters()]
-    known = {id(p) for p in features}
-    rest = [p for p in model.net.parameters() if id(p) not in known]
-    factor = settings["decay"]
-    optimiser = torch.optim.Adam(
-        [
-            {"params": features, "lr": factor * settings["grid_rate"]},
-            {"params": rest, "lr": factor * settings["rate"]},
-        ],
-        betas=(0.9, 0.99), eps=1e-15, fused=True,
-    )  # fmt: skip
+    optimiser = model.optimiser(settings["decay"])
     started = time.monotonic()
     for _ in range(steps):
         optimiser.zero_grad(set_to_none=True)

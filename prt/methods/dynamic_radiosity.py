@@ -194,23 +194,26 @@ class DynamicRadiosity(RadianceField):
         generator = torch.Generator().manual_seed(seed)
         surface = SurfaceStates(self.stage.mi_scene, task.walk_views())
         residual = Residual(self, surface, task.dimension, generator)
-        resumed = log.resume()
-        scale = residual.scale()
-        if resumed is None:
-            net.scale.fill_(scale)
-        features = [p for e in net.encodings for p in e.parameters()]
-        known = {id(p) for p in features}
-        rest = [p for p in net.parameters() if id(p) not in known]
-        groups = [{"params": features, "lr": settings["grid_rate"]}, {"params": rest, "lr": settings["rate"]}]
-        optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
+        net.scale.fill_(residual.scale())
+        optimiser = self.optimiser()
         average = Average(net, settings["average"]) if settings["average"] else None
-        first = resumed[0] if resumed else 0
-        residual.step = first
         fit_loop(
-            log, "dynamic_radiosity", settings["steps"], generator, {"net": net}, residual.loss, optimiser,
+            log, "dynamic_radiosity", settings["steps"], generator, {"net": net, "residual": residual},
+            residual.loss, optimiser,
             lambda progress: min(1.0, (progress + 1e-3) / WARM_UP) * settings["decay"] ** int(3 * progress),
             average,
         )  # fmt: skip
+
+    def optimiser(self, factor: float = 1.0) -> torch.optim.Optimizer:
+        """Adam with a rate for grids and planes and one for the rest, both times ``factor``."""
+        features = [p for e in self.net.encodings for p in e.parameters()]
+        known = {id(p) for p in features}
+        rest = [p for p in self.net.parameters() if id(p) not in known]
+        groups = [
+            {"params": features, "lr": factor * self.training["grid_rate"]},
+            {"params": rest, "lr": factor * self.training["rate"]},
+        ]
+        return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
 
 
 class Residual:
@@ -223,6 +226,13 @@ class Residual:
         self.generator, self.step = generator, 0
         self.v = torch.zeros(0)
         self.brightest = math.inf
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a resumed fit goes on from; random numbers come from the generator."""
+        return {"step": self.step, "v": self.v}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.step, self.v = int(state["step"]), state["v"].clone()
 
     def state(self) -> Float[Tensor, "n"]:
         """A uniform state, or the one that a static network is for."""

@@ -1,5 +1,6 @@
 """Dynamic radiosity where the answer is known: a closed furnace that a variable dims."""
 
+import copy
 import types
 
 import pytest
@@ -174,3 +175,32 @@ def test_the_network_knows_the_state_once_and_not_per_point():
     # the folded first layer is the plain one on all inputs
     plain = net.decoder(torch.cat([features, net.state(v).expand(7, -1)], dim=1))
     torch.testing.assert_close(net(points, code), positive(plain) * net.scale)
+
+
+class Interrupted(Silent):
+    """Keeps one state and stops there, or goes on from it."""
+
+    def __init__(self, at=None, kept=None):
+        self.at, self.kept = at, kept
+
+    def checkpoint_due(self, step):
+        return step == self.at
+
+    def save(self, step, state):
+        self.kept = step, copy.deepcopy(state)
+        raise KeyboardInterrupt
+
+    def resume(self):
+        return self.kept
+
+
+@pytest.mark.parametrize("per_state", [1, 3])
+def test_a_resumed_fit_ends_where_an_uninterrupted_one_does(per_state):
+    whole = fitted(task(), steps=10, per_state=per_state)
+    log = Interrupted(at=4)
+    with pytest.raises(KeyboardInterrupt):
+        DynamicRadiosity(**settings(steps=10, per_state=per_state)).fit(task(), log, 0, "cpu")
+    again = DynamicRadiosity(**settings(steps=10, per_state=per_state))
+    again.fit(task(), Interrupted(kept=log.kept), 0, "cpu")
+    for a, b in zip(whole.net.parameters(), again.net.parameters(), strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-6)
