@@ -62,6 +62,8 @@ class DynamicRadiosity(RadianceField):
         training: steps, batch, samples, per_state, adaptive, loss, detach, epsilon, rate, grid_rate, decay,
             average, sampling, emitters.
         static_state: of ``static``, one value a variable; null for 0.5 each.
+        demodulate: whether a part of the output is multiplied by the albedo (ours; see
+            :class:`~prt.nn.radiance_network.RadianceNetwork`).
         pixel_samples, fxaa, right_hand: as in :class:`~prt.methods.radiance_field.RadianceField`.
 
     Raises:
@@ -86,6 +88,7 @@ class DynamicRadiosity(RadianceField):
         fxaa: bool = True,
         right_hand: int = 0,
         static_state: list[float] | None = None,
+        demodulate: bool = True,
     ):
         super().__init__(pixel_samples, fxaa, right_hand)
         if encoding not in ENCODINGS:
@@ -98,7 +101,7 @@ class DynamicRadiosity(RadianceField):
         self.encoding, self.grid, self.planes, self.state = encoding, grid, planes, state
         self.sizes = {
             "direction_degree": direction_degree, "normal_degree": normal_degree, "albedo_bins": albedo_bins,
-            "width": width, "hidden_layers": hidden_layers,
+            "width": width, "hidden_layers": hidden_layers, "demodulate": bool(demodulate),
         }  # fmt: skip
         self.training, self.static_state = training, static_state
 
@@ -160,7 +163,8 @@ class DynamicRadiosity(RadianceField):
         @torch.no_grad()
         def decode() -> None:
             for start in range(0, len(features), CHUNK):
-                self.net.decode(features[start : start + CHUNK], code.state)
+                part = slice(start, start + CHUNK)
+                self.net.decode(features[part], code.state, points.albedo[part])
 
         return {
             **found,

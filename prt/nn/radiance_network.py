@@ -73,6 +73,9 @@ class RadianceNetwork(torch.nn.Module):
         albedo_bins: of the one-blob encoding of each channel of the albedo.
         width, hidden_layers: of the decoder; the paper has 256 and 4.
         scale: the radiance that the output's unit stands for.
+        demodulate: whether the decoder gives two colours, one that the albedo multiplies and one as it is.
+            The paper has one, and the albedo as an input alone: textures and walls that change colour then
+            have to be learnt.
     """
 
     def __init__(
@@ -85,9 +88,11 @@ class RadianceNetwork(torch.nn.Module):
         width: int,
         hidden_layers: int,
         scale: float = 1.0,
+        demodulate: bool = True,
         generator: torch.Generator | None = None,
     ):
         super().__init__()
+        self.demodulate = bool(demodulate)
         if hidden_layers < 1:
             raise PrtError(f"method.hidden_layers={hidden_layers} must be at least 1")
         self.encodings, self.state = torch.nn.ModuleList(encodings), state
@@ -96,7 +101,8 @@ class RadianceNetwork(torch.nn.Module):
         self.inputs = sum(int(e.outputs) for e in encodings)  # pyright: ignore
         self.inputs += sum((degree + 1) ** 2 for degree in self.degrees) + 3 * albedo_bins
         self.shared = int(state.outputs) if state is not None else 0  # pyright: ignore
-        self.decoder = Mlp(self.inputs + self.shared, width, hidden_layers, 3, generator=generator)
+        outputs = 6 if self.demodulate else 3
+        self.decoder = Mlp(self.inputs + self.shared, width, hidden_layers, outputs, generator=generator)
 
     def at(self, v: Float[Tensor, "n"]) -> StateCode:
         """Once per state; differentiable."""
@@ -128,16 +134,20 @@ class RadianceNetwork(torch.nn.Module):
             parts.append(one_blob(points.albedo, self.albedo_bins))
         return torch.cat(parts, dim=1)
 
-    def decode(self, features: Float[Tensor, "N I"], code: StateCode) -> Float[Tensor, "N 3"]:
+    def decode(
+        self, features: Float[Tensor, "N I"], code: StateCode, albedo: Float[Tensor, "N 3"]
+    ) -> Float[Tensor, "N 3"]:
+        """Radiance from the features of points."""
         first, *middle, last = self.decoder.layers
         x = torch.relu(torch.nn.functional.linear(features, first.weight[:, : self.inputs], code.bias))
         for layer in middle:
             x = torch.relu(layer(x))
-        return positive(last(x)) * self.scale
+        out = positive(last(x)) * self.scale
+        return torch.addcmul(out[:, 3:], albedo, out[:, :3]) if self.demodulate else out
 
     def forward(self, points: RadiancePoints, code: StateCode) -> Float[Tensor, "N 3"]:
         """Radiance that the points reflect towards ``wo``, without what they emit and mirror."""
-        return self.decode(self.features(points, code), code)
+        return self.decode(self.features(points, code), code, points.albedo)
 
     def nbytes(self) -> int:
         """All weights."""

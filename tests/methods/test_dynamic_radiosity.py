@@ -174,7 +174,11 @@ def test_the_network_knows_the_state_once_and_not_per_point():
     features = net.features(points, code)
     # the folded first layer is the plain one on all inputs
     plain = net.decoder(torch.cat([features, net.state(v).expand(7, -1)], dim=1))
-    torch.testing.assert_close(net(points, code), positive(plain) * net.scale)
+    out = positive(plain) * net.scale
+    torch.testing.assert_close(net(points, code), points.albedo * out[:, :3] + out[:, 3:])
+    plainer = DynamicRadiosity(**settings(demodulate=False)).network(([-1.0] * 3, [1.0] * 3), 3)
+    assert plainer.decoder.layers[-1].out_features == 3
+    assert plainer(points, plainer.at(v)).shape == (7, 3)
 
 
 class Interrupted(Silent):
