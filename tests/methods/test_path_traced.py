@@ -48,7 +48,7 @@ def task():
     generator = torch.Generator().manual_seed(0)
     lighting = torch.rand((6, 8, 8, 3), generator=generator)
     item = types.SimpleNamespace(gbuffer=capture(scene.load(), view), lighting=lighting)
-    return types.SimpleNamespace(scene=scene, tests=lambda: [item])
+    return types.SimpleNamespace(name="relight_indirect", scene=scene, tests=lambda: [item])
 
 
 def fitted(task, seed=0, **settings) -> PathTraced:
