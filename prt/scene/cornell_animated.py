@@ -4,7 +4,8 @@ import math
 from typing import Any, Literal
 
 from prt.errors import PrtError
-from prt.scene.animation import Animation, read_animation
+from prt.scene.animation import Animation
+from prt.scene.animation_file import read_animation
 from prt.scene.panels import block, panel
 from prt.scene.scene import Scene, Trajectory
 from prt.scene.shapes import MeshData, diffuse, sphere_mesh, to_mesh, twosided

@@ -2,7 +2,8 @@
 
 from typing import Any, Literal
 
-from prt.scene.animation import Animation, read_animation
+from prt.scene.animation import Animation
+from prt.scene.animation_file import read_animation
 from prt.scene.mitsuba_setup import mitsuba
 from prt.scene.panels import block, panel
 from prt.scene.scene import Scene, Trajectory

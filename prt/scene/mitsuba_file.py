@@ -9,7 +9,6 @@ left in place as a dark surface it would stand in the very opening the environme
 import fnmatch
 import functools
 import hashlib
-import itertools
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,7 +16,8 @@ from typing import Any, Literal
 
 from prt.errors import PrtError
 from prt.paths import data_file, data_folder
-from prt.scene.animation import read_animation
+from prt.scene.animation_file import read_animation
+from prt.scene.lit_parts import name_emitters, with_parts
 from prt.scene.mitsuba_nodes import children, first_sensor, name_shapes, roughness_by_pattern, set_roughness
 from prt.scene.mitsuba_setup import mitsuba
 from prt.scene.scene import Scene, Trajectory, file_digest
@@ -40,8 +40,8 @@ class MitsubaScene(Scene):
             sigma; smooth conductors, plastics and dielectrics become rough ones.
         emitting_shapes: ``remove`` or ``keep`` the shapes of area emitters.
         parameters: values for the ``$name`` parameters of an XML file.
-        animation: what moves in task animate, as :func:`~prt.scene.animation.read_animation` takes it; a path
-            is absolute, relative to the current folder or to the scene's file, or below ``PRT_DATA``.
+        animation: what moves in task animate, as :func:`~prt.scene.animation_file.read_animation` takes it;
+            a path is absolute, relative to the current folder or to the scene's file, or below ``PRT_DATA``.
         variables: how many of its variables move; null for all.
         add: shapes and emitters that task animate has beside the file's, by id, as in Mitsuba's dict format;
             files they name are absolute or relative to the scene's file.
@@ -127,34 +127,9 @@ class MitsubaScene(Scene):
         try:
             scene = mi.parser.instantiate(config, state)
             scene = scene[0] if isinstance(scene, (list, tuple)) else scene
-            # emitters of shapes come with the shapes
-            free = [e for e in scene.emitters() if not mi.has_flag(e.flags(), mi.EmitterFlags.Surface)]
-            taken = {part.id() for part in [*scene.shapes(), *free]}
-            for emitter in free:
-                # Mitsuba would call the parameters of one without a name after its address
-                if not emitter.id():
-                    number = next(n for n in itertools.count() if f"light{n}" not in taken)
-                    emitter.set_id(f"light{number}")
-                    taken.add(f"light{number}")
+            name_emitters(scene)
             if self.add:
-                own = [*scene.shapes(), *free]
-                # materials by themselves too: of a part alone, none is found by its name
-                bsdfs = dict.fromkeys(s.bsdf() for s in scene.shapes() if s.bsdf() is not None)
-                own = [*(b for b in bsdfs if b.id() and not b.id().startswith("_unnamed_")), *own]
-                names = [part.id() for part in own]
-                for key in self.add:
-                    if key in names:
-                        raise PrtError(
-                            f"scene.add: {self.path or 'the dict'} itself has a part called {key!r}; "
-                            "call the added one otherwise"
-                        )
-                # built one by one: together, equal shapes would be merged and lose their names
-                more = [mi.load_dict({**part, "id": key}) for key, part in self._added().items()]
-                parts = dict(zip((f"part{i}" for i in range(len(own) + len(more))), own + more, strict=True))
-                scene = mi.load_dict({"type": "scene", **parts})
-                # the keys, which may not be the names (no dots, none twice), have become the names
-                for part, name in zip(parts.values(), [*names, *self.add], strict=True):
-                    part.set_id(name)
+                scene = with_parts(scene, self._added(), str(self.path or "the dict"))
         except PrtError:
             raise
         except Exception as error:

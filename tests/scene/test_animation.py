@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from prt.errors import PrtError
 from prt.paths import data_file
-from prt.scene.animation import Animation, read_animation, rotation
+from prt.scene.animation import Animation, rotation
+from prt.scene.animation_file import read_animation
 
 MOVE = {
     "name": "move",
@@ -203,7 +204,7 @@ def test_the_papers_format(tmp_path):
     (tmp_path / "animation.json").write_text(json.dumps(PAPER))
     a = read_animation(tmp_path / "animation.json")
     assert a.dimension == 6 and len(set(a.names)) == 6
-    v = [1.0, 0.0, 1.0, 0.0, 1.0, 0.5]
+    v = [1.0, 0.0, 1.0, 1.0, 0.5, 0.0]  # common, translate, rotate, scale, as the authors number them
     assert a.values(v) == {"W.reflectance.value": (0.5, 0.05, 0.3)}
     assert a.transforms(v)["B"][:3, 3].tolist() == [0.6, 0.0, -0.4]
     np.testing.assert_allclose(moved(a.transforms(v)["C"], (1, 0, 1)), (2, 0, 0), atol=1e-15)
