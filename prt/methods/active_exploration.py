@@ -161,6 +161,8 @@ class Explorer:
                     self.chain.refresh(float(self._error(self.examples[self.at]).mean()))
             u = self.chain.propose()
         example = self._traced(u, len(self.examples))
+        if not self.examples:  # the logarithm bends where the scene's light is, or dark rooms would not count
+            self.method.net.scale.fill_(max(float(example.target.median()), 1e-6))
         self.examples.append(example)
         self.places.append(u.tolist())
         if not settings["uniform"]:
