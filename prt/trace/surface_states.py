@@ -121,7 +121,7 @@ class SurfaceStates:
         # meshes: from the corners of the triangle, as they are now
         si = pi.compute_surface_interaction(ray, mi.RayFlags.All, mi.Bool(prim >= 0))
         if (prim < 0).any():
-            si = self._found(si, index, mi.Bool(prim < 0), sampler, count)
+            si = self._found(si, shape, prim < 0, seed)
         front = mi.Bool(rng.random(count) < self.front[shape])
         n = dr.select(dr.dot(si.sh_frame.n, si.n) < 0, -si.sh_frame.n, si.sh_frame.n)
         n = dr.select(front, n, -n)
@@ -135,18 +135,28 @@ class SurfaceStates:
             si = dr.gather(mi.SurfaceInteraction3f, si, mi.UInt32(keep))
         return si, len(keep)
 
-    def _found(self, si, index, wanted, sampler, count: int):
-        """Points of spheres, rectangles and the like, found by a short ray onto a sampled place."""
+    def _found(self, si, shape: np.ndarray, wanted: np.ndarray, seed: int):
+        """Points of spheres, rectangles and the like, found by a short ray onto a sampled place.
+
+        Shape by shape: one call for all would go to every shape that the process holds, and some have none.
+        """
         import drjit as dr
 
         mi = mitsuba()
-        shapes = dr.gather(type(self.shapes), self.shapes, index, wanted)
-        ps = shapes.sample_position(0.0, sampler.next_2d(), wanted)
-        ray = mi.Ray3f(ps.p + self.step * ps.n, -ps.n)
-        other = self.mi_scene.ray_intersect(ray, wanted)
-        close = other.is_valid() & (dr.abs(other.t - self.step) < 0.1 * self.step) & (other.shape == shapes)
+        place, normal = np.zeros((2, len(shape), 3), dtype=np.float32)
+        shapes = self.mi_scene.shapes()
+        for number in np.unique(shape[wanted]):
+            own = np.flatnonzero(wanted & (shape == number))
+            random = make_sampler(seed + 1 + int(number), len(own)).next_2d()
+            ps = shapes[int(number)].sample_position(0.0, random)
+            place[own], normal[own] = np.array(ps.p).T, np.array(ps.n).T
+        p, n = mi.Point3f(place.T.copy()), mi.Normal3f(normal.T.copy())
+        active = mi.Bool(wanted)
+        other = self.mi_scene.ray_intersect(mi.Ray3f(p + self.step * n, -n), active)
+        meant = dr.gather(type(self.shapes), self.shapes, mi.UInt32(shape.astype(np.uint32)))
+        close = other.is_valid() & (dr.abs(other.t - self.step) < 0.1 * self.step) & (other.shape == meant)
         other.t = dr.select(close, other.t, dr.inf)
-        return dr.select(wanted, other, si)
+        return dr.select(active, other, si)
 
 
 def triangle_areas(shape) -> np.ndarray | None:

@@ -63,9 +63,10 @@ def test_failures_of_a_mesh(mesh):
     negative = figures(rows, "negative/energy")
     assert negative["window=0.1,exponent=20"] < negative["window=0,exponent=20"]
     near = [row for row in rows if row["variant"].startswith("distance=")]
-    # nothing else is near the points of this one; all are in the last bin, of two figures
+    # almost nothing else is near the points of this one: they are in the last bin, of two figures, and
+    # bins with fewer points than say anything are left out
     assert [row["variant"] for row in near] == ["distance=1"] * 2
-    assert sum(row["n"] for row in near) == 2 * 200
+    assert all(150 <= row["n"] <= 200 for row in near)
 
 
 def test_the_distance_to_another_surface(words):

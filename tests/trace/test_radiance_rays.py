@@ -127,6 +127,14 @@ def test_points_lie_evenly_on_all_shapes_and_on_the_sides_that_are_seen():
     assert (np.array(si.wi.z) > 0).all(), "no one sees the insides"
 
 
+def test_shapes_of_other_scenes_that_cannot_be_sampled_do_no_harm(tmp_path):
+    (tmp_path / "hair.txt").write_text("0 0 0 0.1\n0 1 0 0.1\n0 2 0 0.1\n0 3 0 0.1\n")
+    other = mitsuba().load_dict({"type": "bsplinecurve", "filename": str(tmp_path / "hair.txt")})
+    scene = lit({"ball": sphere(diffuse(0.5))})
+    assert SurfaceStates(scene).sample(100, 0)[1] == 100
+    assert other.class_name()
+
+
 def test_points_follow_a_shape_that_moves():
     mi = mitsuba()
     scene = lit({"cube": {"type": "cube", "bsdf": diffuse(0.5)}})
