@@ -138,12 +138,12 @@ def resolve(cfg: DictConfig, names: dict[str, str]) -> None:
             try:
                 OmegaConf.select(cfg, key)
             except InterpolationResolutionError:
-                missing = re.search(r"'(task)\.(\w+)' not found", reason)
+                missing = re.search(r"'task\.(\w+)' not found", reason)
                 if missing:  # as a relighting task's environments with one that has none
                     group = key.partition(".")[0]
                     raise PrtError(
                         f"{group}={names.get(group)} does not go with task={names.get('task')}, which has no "
-                        f"{missing[2]}; leave {group} out, and the task's own is taken"
+                        f"{missing[1]}; leave {group} out, and the task's own is taken"
                     ) from error
                 raise PrtError(f"{key}: {reason}") from error
         raise PrtError(reason) from error

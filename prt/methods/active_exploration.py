@@ -182,10 +182,9 @@ class Explorer:
     def _error(self, example: Example) -> Float[Tensor, "P 3"]:
         """Squared difference in log(1 + radiance): lamps and highlights would drown all else."""
         net, device = self.method.net, self.method.device
-        points = example.answers.points.to(device)
+        answers = example.answers.to(device)
         # not cut off at 0, as the network's own radiance is: there would be no way back from below
-        log_values = net.log_radiance(surface(points), example.v.to(device)).clamp(max=LARGEST)
-        known = example.answers.known.to(device)
-        image = known.index_add(0, points.path, points.weight * torch.expm1(log_values) * net.scale)
+        log_values = net.log_radiance(surface(answers.points), example.v.to(device)).clamp(max=LARGEST)
+        image = answers.total(torch.expm1(log_values) * net.scale)
         found = torch.log1p((image / net.scale).clamp(min=LEAST))
         return (found - net.compressed(example.target.to(device))).square()

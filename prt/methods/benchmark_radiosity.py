@@ -112,7 +112,7 @@ def fine_tuning(task: Any, method: dict[str, Any], change: float, steps: list[in
         steps: of fine-tuning, at which the error is measured; ascending from 0.
 
     Raises:
-        PrtError: for a scene without variables.
+        PrtError: for a scene without variables, or a test state that is not the changed one.
     """
     if task.dimension == 0:
         raise PrtError("figure 10 changes the state: the scene needs at least one variable")
@@ -127,7 +127,7 @@ def fine_tuning(task: Any, method: dict[str, Any], change: float, steps: list[in
     needed = None
     taken, seconds = 0, 0.0
     for goal in steps:
-        seconds += tune(task, method, static, after, goal - taken)
+        seconds += tune(task, static, after, goal - taken)
         taken = goal
         error = mape_of(static, items)
         rows.append(row("mape", error, f"steps={goal}", "static_radiosity"))
@@ -139,7 +139,7 @@ def fine_tuning(task: Any, method: dict[str, Any], change: float, steps: list[in
     return rows
 
 
-def tune(task: Any, method: dict[str, Any], model: DynamicRadiosity, state: list[float], steps: int) -> float:
+def tune(task: Any, model: DynamicRadiosity, state: list[float], steps: int) -> float:
     """Carry a static network on in another state; returns the seconds taken."""
     if steps <= 0:
         return 0.0

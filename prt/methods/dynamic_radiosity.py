@@ -23,6 +23,7 @@ from prt.nn.hashgrid_4d import HashGrid4d
 from prt.nn.kplanes import KPlanes
 from prt.nn.radiance_network import RadianceNetwork, RadiancePoints, StateCode
 from prt.nn.scene_planes import PlainState, ScenePlanes, StateNetwork
+from prt.scene.capture import rows_of
 from prt.scene.gbuffer import GBuffer
 from prt.trace.radiance_rays import right_hand_side
 from prt.trace.surface_states import SurfaceStates
@@ -298,17 +299,15 @@ class Residual:
         answers = right_hand_side(
             method.stage.mi_scene, si, count, self.samples(), self.seed(), settings["sampling"],
             settings["emitters"],
-        )  # fmt: skip
+        ).to(device)  # fmt: skip
         code = net.at(v.to(device))
         left = net(left_points, code)
-        points = answers.points.to(device)
         if settings["detach"]:
-            with torch.no_grad():  # in chunks that stay in cache
-                starts = range(0, max(len(points), 1), CHUNK)
-                values = torch.cat([net(points.rows(slice(k, k + CHUNK)), code) for k in starts])
+            with torch.no_grad():
+                values = method.chunked(answers.points, code)
         else:
-            values = net(points, code)
-        right = answers.known.to(device).index_add(0, points.path, points.weight * values)
+            values = net(answers.points, code)
+        right = answers.total(values)
         self._watch(left)
         difference = (left - right).square()
         if settings["loss"] == "relative":
@@ -335,8 +334,6 @@ def points_of(si: Any, count: int) -> RadiancePoints:
     """Interactions as points of the network, seen from ``wi``."""
     import drjit as dr
 
-    from prt.trace.radiance_rays import rows
-
     wo = si.to_world(si.wi)
     normal = si.sh_frame.n
     normal = dr.select(dr.dot(normal, wo) < 0, -normal, normal)
@@ -344,5 +341,5 @@ def points_of(si: Any, count: int) -> RadiancePoints:
     dr.eval(wo, normal, albedo)
     one = torch.ones((count, 3))
     return RadiancePoints(
-        rows(si.p, count), rows(normal, count), rows(wo, count), rows(albedo, count), one, torch.arange(count)
+        *(rows_of(values, count) for values in (si.p, normal, wo, albedo)), one, torch.arange(count)
     )

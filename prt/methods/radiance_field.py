@@ -5,7 +5,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from safetensors.torch import load_file, save_file
@@ -13,6 +12,7 @@ from torch import Tensor
 
 from prt.errors import PrtError
 from prt.methods.base import Component, FitLog
+from prt.metrics.tonemap import exposure_of
 from prt.nn.radiance_network import RadiancePoints
 from prt.scene.capture import camera_frame
 from prt.scene.gbuffer import GBuffer
@@ -101,7 +101,8 @@ class RadianceField:
         self.stage.set(code.v)
         image = self.compose(self.trace(view), code).reshape(view.height, view.width, 3)
         if self.fxaa:
-            image = fxaa(image, exposure=exposure_of(image))
+            # its own exposure, for no reference is at hand
+            image = fxaa(image, exposure=exposure_of(image.numpy()))
         return image.reshape(-1, 3)[gbuffer.hit.cpu()]
 
     def trace(self, view: View) -> Answers:
@@ -120,12 +121,14 @@ class RadianceField:
         return answers.total(values).reshape(-1, self.pixel_samples, 3).mean(1)
 
     def valued(self, points: RadiancePoints, code: FieldCode) -> Float[Tensor, "N 3"]:
-        """:meth:`values` in chunks, on the CPU."""
-        parts = [torch.zeros((0, 3))]
-        for start in range(0, len(points), CHUNK):
-            part = points.rows(slice(start, start + CHUNK)).to(self.device)
-            parts.append(self.values(part, code.state).cpu())
-        return torch.cat(parts)
+        """:meth:`values` of points that may lie elsewhere, on the CPU."""
+        return self.chunked(points.to(self.device), code.state).cpu()
+
+    def chunked(self, points: RadiancePoints, state: Any) -> Float[Tensor, "N 3"]:
+        """:meth:`values` of a part of the points after another: what they need stays in cache."""
+        starts = range(0, len(points), CHUNK)
+        parts = [self.values(points.rows(slice(k, k + CHUNK)), state) for k in starts]
+        return torch.cat([points.position.new_zeros((0, 3)), *parts])
 
     def gathered(self, answers: Answers, code: FieldCode) -> Float[Tensor, "N 3"]:
         """The right-hand side at all points: radiance of what lies in ``right_hand`` directions."""
@@ -206,9 +209,3 @@ def pixel_rays(view: View, samples: int):
     origin = mi.Point3f(*(dr.opaque(mi.Float, float(c)) for c in view.origin))
     near = 1e-3 / dr.dot(direction, forward)
     return mi.Ray3f(origin + near * direction, direction)
-
-
-def exposure_of(image: Float[Tensor, "H W 3"]) -> float:
-    """Brings the image's own 95th percentile to 0.8, for no reference is at hand; 1 for a black one."""
-    high = float(np.quantile(image.numpy(), 0.95))
-    return 0.8 / high if high > 0 else 1.0

@@ -78,7 +78,7 @@ class CornellAnimated(Scene):
         return {**out, "ball": to_mesh("ball", ball, BALLS[self.ball])}
 
     def lights(self) -> dict[str, Any]:
-        """The lamp, a square just below the ceiling that shines down; it stands at the end of its way."""
+        """The lamp, a square just below the ceiling that shines down; it stands at the start of its way."""
         from prt.scene.mitsuba_setup import mitsuba
 
         mi = mitsuba()

@@ -17,7 +17,7 @@ from prt.errors import PrtError
 from prt.light.own import OwnLights
 from prt.metrics.registry import evaluate
 from prt.progress import track
-from prt.scene.capture import capture, sensor_description
+from prt.scene.capture import capture
 from prt.scene.gbuffer import GBuffer
 from prt.scene.mitsuba_setup import mitsuba
 from prt.scene.scene import Scene
@@ -25,13 +25,12 @@ from prt.scene.stage import Stage
 from prt.scene.view import View
 from prt.tasks.test_item import TestItem, floor_of
 from prt.trace.denoise import denoise
+from prt.trace.reference import render_parts
 
 #: raise when the content of the cache changes for equal settings
 FRAME_VERSION = 1
 #: added to seeds of references, so that no method shares their random numbers
 REFERENCE_SEED = 9_000_000
-#: paths rendered at a time
-WAVEFRONT = 1 << 22
 #: how far outside of the cube the states of the split ``outside`` lie
 BEYOND = 0.25
 
@@ -124,18 +123,8 @@ class Animate:
     def render(self, v: Float[Tensor, "n"], view: View, spp: int, seed: int) -> Float[Tensor, "H W 3"]:
         """A path-traced image with everything that is seen, lamps and background too."""
         self.stage.set(v)
-        mi = mitsuba()
-        sensor, integrator = mi.load_dict(sensor_description(view)), self._integrator
-        most = max(1, WAVEFRONT // (view.width * view.height))
-        total = np.zeros((view.height, view.width, 3))
-        for number, done in enumerate(range(0, spp, most)):
-            count = min(most, spp - done)
-            part_seed = int(np.random.SeedSequence([seed & 0xFFFFFFFF, number]).generate_state(1)[0])
-            image = mi.render(
-                self.stage.mi_scene, sensor=sensor, integrator=integrator, spp=count, seed=part_seed
-            )
-            total += np.array(image, dtype=np.float64) * (count / spp)
-        return torch.from_numpy(total).float()
+        found = render_parts(self.stage.mi_scene, {"full": self._integrator}, view, spp, seed)
+        return torch.from_numpy(found["full"]).float()
 
     @functools.cached_property
     def _integrator(self) -> Any:
@@ -184,17 +173,11 @@ class Animate:
         states = self.test_states()
         if not states:
             raise PrtError("task=animate has no test states; raise task.states")
-        views = self.scene.views("far", max(len(states), 1), self.size)
-        jobs = [
-            (
-                split,
-                name,
-                v,
-                f"view{i:02d}" if split != "path" else "view00",
-                views[i if split != "path" else 0],
-            )
-            for i, (split, name, v) in enumerate(states)
-        ]
+        views = self.scene.views("far", len(states), self.size)
+        jobs = []
+        for i, (split, name, v) in enumerate(states):
+            place = 0 if split == "path" else i
+            jobs.append((split, name, v, f"view{place:02d}", views[place]))
         return [self._item(*job) for job in track(jobs, f"references, {self.scene.name}", len(jobs))]
 
     @functools.cached_property

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from prt.errors import PrtError
 from prt.nn.radiance_network import RadiancePoints
+from prt.scene.capture import rows_of
 from prt.scene.mitsuba_setup import mitsuba
 
 #: specular surfaces followed in a row; what is left of the light then is lost
@@ -30,6 +31,9 @@ class Answers:
     #: the same points as ``mi.SurfaceInteraction3f``, a part a surface on the way, where they were asked for
     interactions: list = dataclasses.field(default_factory=list)
 
+    def to(self, device: str | torch.device) -> "Answers":
+        return Answers(self.known.to(device), self.points.to(device), self.interactions)
+
     def total(self, values: Float[Tensor, "N 3"]) -> Float[Tensor, "P 3"]:
         """All light of each path, given the network's values at ``points``."""
         return self.known.index_add(0, self.points.path, self.points.weight * values)
@@ -41,13 +45,6 @@ def lobes(delta: bool):
     context = mi.BSDFContext()
     context.type_mask = mi.BSDFFlags.Delta if delta else mi.BSDFFlags.Smooth
     return context
-
-
-def rows(values, count: int) -> Float[Tensor, "N C"]:
-    """A Dr.Jit vector as a torch tensor with a row for each entry, in memory of its own."""
-    array = np.array(values, dtype=np.float32)
-    array = array[None] if array.ndim == 1 else array
-    return torch.from_numpy(np.broadcast_to(array, (array.shape[0], count)).T.copy())
 
 
 def follow(mi_scene, ray, count: int, seed: int, weight=None, pdf=None, origin=None, keep=False) -> Answers:
@@ -88,13 +85,13 @@ def follow(mi_scene, ray, count: int, seed: int, weight=None, pdf=None, origin=N
         asked = valid & mi.has_flag(flags, smooth)
         onward = valid & mi.has_flag(flags, mi.BSDFFlags.Delta)
         dr.eval(si, emission, normal, albedo, asked, onward, throughput)
-        known.index_add_(0, torch.from_numpy(path), rows(emission, many).nan_to_num(0.0, 0.0, 0.0))
+        known.index_add_(0, torch.from_numpy(path), rows_of(emission, many).nan_to_num(0.0, 0.0, 0.0))
         where = torch.from_numpy(np.flatnonzero(np.array(asked)))
         if len(where):
             found.append(
                 RadiancePoints(
-                    rows(si.p, many)[where], rows(normal, many)[where], -rows(ray.d, many)[where],
-                    rows(albedo, many)[where], rows(throughput, many)[where], torch.from_numpy(path)[where],
+                    *(rows_of(part, many)[where] for part in (si.p, normal, -ray.d, albedo, throughput)),
+                    torch.from_numpy(path)[where],
                 )
             )  # fmt: skip
             if keep:
@@ -176,7 +173,7 @@ def right_hand_side(
     ray = si.spawn_ray(si.to_world(local))
     dr.eval(ray, weight, pdf, direct, si)
     answers = follow(mi_scene, ray, many, seed, weight, pdf if emitters else None, si if emitters else None)
-    known = answers.known + rows(direct, many).nan_to_num(0.0, 0.0, 0.0) / samples
+    known = answers.known + rows_of(direct, many).nan_to_num(0.0, 0.0, 0.0) / samples
     answers.points.path = answers.points.path // samples
     return Answers(known.reshape(count, samples, 3).sum(1), answers.points)
 

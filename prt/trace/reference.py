@@ -95,6 +95,20 @@ def render_components(
     Raises:
         PrtError: if spp is below 1.
     """
+    sums = render_parts(mi_scene, integrators, view, spp, seed)
+    sums.setdefault("full", sums["direct"])
+    sums["indirect"] = np.maximum(sums["full"] - sums["direct"], 0)  # below zero by rounding only
+    return {name: torch.from_numpy(sums[name]).float() for name in COMPONENTS}
+
+
+def render_parts(
+    mi_scene: Any, integrators: dict[str, Any], view: View, spp: int, seed: int
+) -> dict[str, Float[np.ndarray, "H W 3"]]:
+    """One image of each integrator, float64, in passes of at most ``WAVEFRONT`` paths.
+
+    Raises:
+        PrtError: if spp is below 1.
+    """
     mi = mitsuba()
     if spp < 1:
         raise PrtError(f"reference spp={spp} must be at least 1")
@@ -107,9 +121,7 @@ def render_components(
         for name, integrator in integrators.items():
             image = mi.render(mi_scene, sensor=sensor, integrator=integrator, spp=count, seed=chunk_seed)
             sums[name] += np.array(image, dtype=np.float64) * (count / spp)
-    sums.setdefault("full", sums["direct"])
-    sums["indirect"] = np.maximum(sums["full"] - sums["direct"], 0)  # below zero by rounding only
-    return {name: torch.from_numpy(sums[name]).float() for name in COMPONENTS}
+    return sums
 
 
 def render(
