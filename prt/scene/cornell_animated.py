@@ -6,12 +6,11 @@ from typing import Any, Literal
 from prt.errors import PrtError
 from prt.scene.animation import Animation
 from prt.scene.animation_file import read_animation
+from prt.scene.cornell_box import BACK, FRONT, HALF, HEIGHT, painted, walls
 from prt.scene.panels import block, panel
 from prt.scene.scene import Scene, Trajectory
-from prt.scene.shapes import MeshData, diffuse, sphere_mesh, to_mesh, twosided
+from prt.scene.shapes import MeshData, diffuse, sphere_mesh, to_mesh, twosided, unit_setting
 
-#: the room: x from -1 to 1, y from 0 to 2, z from the back to the front
-HALF, HEIGHT, BACK, FRONT = 1.0, 2.0, -1.0, 1.75
 #: the box stands at (x, z); it is no square, so that a right angle about its own axis is no symmetry
 BOX_AT, BOX_SIDES, BOX_HEIGHT = (-0.38, -0.42), (0.62, 0.36), 1.15
 BALL_RADIUS, BALL_START, BALL_END = 0.3, (-0.6, 0.3, 0.45), (0.62, 0.3, 0.25)
@@ -56,9 +55,7 @@ class CornellAnimated(Scene):
         super().__init__(name, cameras, max_depth, record)
         if ball not in BALLS:
             raise PrtError(f"scene.ball={ball!r} is not one of {', '.join(BALLS)}")
-        if not 0 <= albedo <= 0.99:
-            raise PrtError(f"scene.albedo={albedo} must be from 0 to 0.99")
-        self.ball, self.albedo = ball, float(albedo)
+        self.ball, self.albedo = ball, unit_setting("albedo", albedo, 0.0, 0.99)
         self.animation = animation().subset(variables, 0.5)
 
     def fingerprint(self) -> dict[str, Any]:
@@ -68,14 +65,8 @@ class CornellAnimated(Scene):
         }  # fmt: skip
 
     def description(self) -> dict[str, Any]:
-        colors = {"left": (0.63, 0.065, 0.05), "right": (0.14, 0.45, 0.091)}
-        white = tuple(self.albedo * part for part in (1.0, 0.98, 0.94))
-        out = {
-            name: to_mesh(name, mesh, twosided(diffuse(colors.get(name, white))))
-            for name, mesh in meshes().items()
-        }
         ball = sphere_mesh(BALL_RADIUS, 48, 24).moved(to=BALL_START)
-        return {**out, "ball": to_mesh("ball", ball, BALLS[self.ball])}
+        return {**painted(meshes(), self.albedo), "ball": to_mesh("ball", ball, BALLS[self.ball])}
 
     def lights(self) -> dict[str, Any]:
         """The lamp, a square just below the ceiling that shines down; it stands at the start of its way."""
@@ -111,17 +102,12 @@ def animation() -> Animation:
 
 def meshes() -> dict[str, MeshData]:
     """Walls that face inwards and the box, by name."""
-    wide, deep = 2 * HALF, FRONT - BACK
     x, z = BOX_SIDES[0] / 2, BOX_SIDES[1] / 2
     box = block((-x, 0.0, -z), (x, BOX_HEIGHT, z))
     return {
-        "floor": panel((-HALF, 0, FRONT), (wide, 0, 0), (0, 0, -deep)),
-        "ceiling": panel((-HALF, HEIGHT, BACK), (wide, 0, 0), (0, 0, deep)),
-        "back": panel((-HALF, 0, BACK), (wide, 0, 0), (0, HEIGHT, 0)),
-        "front": panel((HALF, 0, FRONT), (-wide, 0, 0), (0, HEIGHT, 0)),
-        "left": panel((-HALF, 0, FRONT), (0, 0, -deep), (0, HEIGHT, 0)),
-        "right": panel((HALF, 0, BACK), (0, 0, deep), (0, HEIGHT, 0)),
-        "box": box.moved(turn=0.0, to=(BOX_AT[0], 0.0, BOX_AT[1])),
+        "floor": panel((-HALF, 0, FRONT), (2 * HALF, 0, 0), (0, 0, BACK - FRONT)),
+        **walls(),
+        "box": box.moved(to=(BOX_AT[0], 0.0, BOX_AT[1])),
     }
 
 

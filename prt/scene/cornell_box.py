@@ -51,27 +51,33 @@ class CornellBox(Scene):
         return {"scene": "cornell_box", "geometry_version": self.geometry_version, "white": self.white}
 
     def description(self) -> dict[str, Any]:
-        # the measured white is a little warm
-        white = tuple(self.white * part for part in (1.0, 0.98, 0.94))
-        colors = {"left": (0.63, 0.065, 0.05), "right": (0.14, 0.45, 0.091)}
-        return {
-            name: to_mesh(name, mesh, twosided(diffuse(colors.get(name, white))))
-            for name, mesh in meshes().items()
-        }
+        return painted(meshes(), self.white)
+
+
+def painted(shapes: dict[str, MeshData], white: float) -> dict[str, Any]:
+    """Meshes of a Cornell box with its colours: red on the left, green on the right, all else white."""
+    # the measured white is a little warm
+    other = tuple(white * part for part in (1.0, 0.98, 0.94))
+    colors = {"left": (0.63, 0.065, 0.05), "right": (0.14, 0.45, 0.091)}
+    return {
+        name: to_mesh(name, mesh, twosided(diffuse(colors.get(name, other)))) for name, mesh in shapes.items()
+    }
 
 
 def meshes() -> dict[str, MeshData]:
     """Walls facing inwards and boxes facing outwards, by name."""
+    return {"floor": _floor(), **walls(), "short_box": _box(*SHORT), "tall_box": _box(*TALL)}
+
+
+def walls() -> dict[str, MeshData]:
+    """Ceiling and walls, facing inwards, by name."""
     wide, tall, deep = 2 * HALF, HEIGHT, FRONT - BACK
     return {
-        "floor": _floor(),
         "ceiling": panel((-HALF, tall, BACK), (wide, 0, 0), (0, 0, deep)),
         "back": panel((-HALF, 0, BACK), (wide, 0, 0), (0, tall, 0)),
         "front": panel((HALF, 0, FRONT), (-wide, 0, 0), (0, tall, 0)),
         "left": panel((-HALF, 0, FRONT), (0, 0, -deep), (0, tall, 0)),
         "right": panel((HALF, 0, BACK), (0, 0, deep), (0, tall, 0)),
-        "short_box": _box(*SHORT),
-        "tall_box": _box(*TALL),
     }
 
 
