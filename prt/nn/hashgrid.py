@@ -161,7 +161,7 @@ class HashGrid(torch.nn.Module):
     def lookup(self, corners: Corners) -> Float[Tensor, "N LF"]:
         """Features from precomputed corners (any rows of them); differentiable in the table."""
         indices, weights = corners
-        bags = _WeightedRows.apply(self.table, indices.reshape(-1, 8), weights.reshape(-1, 8))
+        bags = WeightedRows.apply(self.table, indices.reshape(-1, 8), weights.reshape(-1, 8))
         return bags.reshape(len(indices), self.out_features)
 
     def forward_readable(self, points: Float[Tensor, "N 3"]) -> Float[Tensor, "N LF"]:
@@ -180,7 +180,7 @@ class HashGrid(torch.nn.Module):
         return torch.cat(out, 1)
 
 
-class _WeightedRows(torch.autograd.Function):
+class WeightedRows(torch.autograd.Function):
     """Weighted sums of eight table rows each.
 
     The forward pass is torch's fused ``embedding_bag``. Its own backward pass sorts all indices; scattering

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from prt.errors import PrtError
+from prt.nn.cells import cells
 
 #: points whose factors are multiplied at a time on the CPU: their arrays stay in cache
 BLOCK = 2048
@@ -158,13 +159,6 @@ class KPlanes(torch.nn.Module):
                 feature = feature * ((1 - p) * near + p * far)
             parts.append(feature)
         return torch.cat(parts, dim=1)
-
-
-def cells(x: Float[Tensor, "*N"], count: int) -> tuple[Int[Tensor, "*N"], Float[Tensor, "*N"]]:
-    """Which of ``count`` cells of [0, 1] a value lies in and where in it; values outside are clamped."""
-    place = x.clamp(0, 1) * count
-    cell = place.long().clamp(max=count - 1)  # truncation is floor: nothing is negative
-    return cell, place - cell
 
 
 def plane_rows(

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from prt.errors import PrtError
+from prt.nn.cells import cells
 from prt.nn.mlp import Mlp
 
 INITIAL = 1e-4
@@ -82,21 +83,18 @@ class ScenePlanes(torch.nn.Module):
         lines = []
         number = torch.arange(self.variables, device=v.device)
         for plane, r, s in zip(self.planes, self.resolutions, self.along, strict=True):
-            place = v.clamp(0, 1).to(plane.dtype) * s
-            row = place.long().clamp(max=s - 1)
-            part = (place - row)[:, None, None, None]
+            row, part = cells(v, s)
+            part = part[:, None, None, None]
             line = torch.lerp(plane[number, :, row], plane[number, :, row + 1], part)  # n, 3, r + 1, F
             lines.append(line.permute(1, 2, 0, 3).reshape(3, r + 1, -1))
         return lines
 
     def forward(self, position: Float[Tensor, "N 3"], lines: Lines) -> Float[Tensor, "N C"]:
         """Features at world positions in the state that the lines were made for."""
-        unit = ((position - self.low) / self.extent).clamp(0, 1)
+        unit = (position - self.low) / self.extent
         parts = []
         for line, r in zip(lines, self.resolutions, strict=True):
-            place = unit * r
-            cell = place.long().clamp(max=r - 1)
-            part = place - cell
+            cell, part = cells(unit, r)
             for axis in range(3):
                 near, far = (
                     line[axis].index_select(0, cell[:, axis]),
