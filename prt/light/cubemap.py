@@ -57,8 +57,10 @@ def texel_solid_angles(R: int, dtype: torch.dtype = torch.float32) -> Float[Tens
     return angle.to(dtype).expand(6, R, R).contiguous()
 
 
-def direction_to_texel(d: Float[Tensor, "N 3"], R: int) -> Int[Tensor, "N"]:
-    """Flat index ``(face * R + row) * R + column`` of the texel each direction (of any length) falls in."""
+def direction_to_face(
+    d: Float[Tensor, "N 3"],
+) -> tuple[Int[Tensor, "N"], Float[Tensor, "N"], Float[Tensor, "N"]]:
+    """Face of each direction (of any length), and where it meets the face: u and v in [-1, 1]."""
     size = d.abs()
     # explicit comparisons, not argmax: ties on an edge go to the first of x, y, z on every device
     on_x = (size[..., 0] >= size[..., 1]) & (size[..., 0] >= size[..., 2])
@@ -69,6 +71,12 @@ def direction_to_texel(d: Float[Tensor, "N 3"], R: int) -> Int[Tensor, "N"]:
     scale = major.abs().clamp_min(torch.finfo(d.dtype).tiny)
     u = (d * axes[..., 1, :]).sum(-1) / scale
     v = (d * axes[..., 2, :]).sum(-1) / scale
+    return face, u, v
+
+
+def direction_to_texel(d: Float[Tensor, "N 3"], R: int) -> Int[Tensor, "N"]:
+    """Flat index ``(face * R + row) * R + column`` of the texel each direction (of any length) falls in."""
+    face, u, v = direction_to_face(d)
     column = ((u + 1) * (0.5 * R)).floor().long().clamp(0, R - 1)
     row = ((v + 1) * (0.5 * R)).floor().long().clamp(0, R - 1)
     return (face * R + row) * R + column

@@ -82,17 +82,21 @@ class PointSampler:
         }
         self.size = len(importance["specular"])
 
-    def draw(self, generator: torch.Generator) -> Int[Tensor, "P"]:
+    def draw(self, generator: torch.Generator, within: range | None = None) -> Int[Tensor, "P"]:
+        """Points of the next step; ``within``: only of these, as the points of one view are."""
+        first, last = (within.start, within.stop) if within else (0, self.size)
         parts = []
         for name, count in self.counts.items():
             cumulative = self.cumulative[name]
             uniform = torch.rand(count, generator=generator, dtype=torch.float64)
-            if cumulative is None or not cumulative[-1] > 0:
-                parts.append((uniform * self.size).long())
+            low = high = 0.0
+            if cumulative is not None:
+                low, high = float(cumulative[first - 1]) if first else 0.0, float(cumulative[last - 1])
+            if cumulative is None or not high > low:
+                parts.append((first + uniform * (last - first)).long())
             else:
-                parts.append(
-                    torch.searchsorted(cumulative, uniform * cumulative[-1]).clamp(max=self.size - 1)
-                )
+                place = torch.searchsorted(cumulative, low + uniform * (high - low))
+                parts.append(place.clamp(first, last - 1))
         return torch.cat(parts)
 
 

@@ -38,11 +38,10 @@ def wavelet_gain(
     products, squares = [], torch.zeros(net.texture.wavelets)
     for rows in chosen.split(POINTS):
         recorded = haar.forward(data.transport.rows(rows).dense())
-        part = data.gbuffer.rows(rows).to(device)
-        space, features = net.grid(part.position), net.features(part)
+        pixel = net.inputs(data.gbuffer.rows(rows).to(device))
         product = torch.zeros(net.texture.wavelets)
         for k in torch.arange(net.texture.wavelets).split(WAVELETS):
-            predicted = net.coefficients(space, features, k.to(device), precision).cpu()
+            predicted = net.coefficients(pixel, k.to(device), precision).cpu()
             product[k] = (predicted * recorded[:, k]).sum(dim=(0, 2))
             squares[k] += predicted.square().sum(dim=(0, 2))
         products.append(product)

@@ -2,7 +2,8 @@
 
 Light is projected to Haar wavelets on a cubemap, the largest K coefficients are kept, and a network predicts
 the transport coefficient T_k of each at every pixel; radiance is their dot product (Eq. 3, Algorithm 1).
-The network is :class:`prt.nn.wavelet_transport.WaveletTransport`.
+The network is :class:`prt.nn.wavelet_transport.WaveletTransport`, its training
+:class:`prt.methods.wavelet_training.WaveletTraining`, Algorithm 1 :mod:`prt.methods.wavelet_shading`.
 
 Every choice of the paper is a setting. Three choices differ from the paper at the smaller budgets, because
 the transport is recorded here (docs/decisions/0002-recorded-transport-sets-the-scales.md): outputs are scaled
@@ -13,7 +14,6 @@ by it (``selection``, ``draw``), and a step trains several lightings cut to the 
 
 import dataclasses
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,9 +25,13 @@ from torch import Tensor
 
 from prt.errors import PrtError
 from prt.light import haar
+from prt.light.cubemap import texel_solid_angles
 from prt.methods.base import Component, FitLog, check_resolution
-from prt.methods.training import PointSampler, fit_network, image_loss, radiance
+from prt.methods.training import fit_network
 from prt.methods.wavelet_gain import wavelet_gain
+from prt.methods.wavelet_shading import WaveletCode, encode, shade_folded, shade_readable
+from prt.methods.wavelet_training import WaveletTraining, check_training
+from prt.nn.direction_encodings import direction_encoding
 from prt.nn.hashgrid import HashGrid
 from prt.nn.wavelet_texture import WaveletTexture
 from prt.nn.wavelet_transport import WaveletTransport
@@ -35,17 +39,6 @@ from prt.scene.gbuffer import GBuffer
 from prt.trace.statistics import wavelet_scale
 
 SELECTIONS = ("magnitude", "area", "transport")
-
-
-@dataclasses.dataclass
-class WaveletCode:
-    """A lighting as the K wavelets that are kept, with the first layer of the network folded for them."""
-
-    index: Int[Tensor, "K"]
-    value: Float[Tensor, "K 3"]
-    folded: Float[Tensor, "M KH"]
-    #: lighting coefficient times output scale, what multiplies the last hidden layer
-    weight: Float[Tensor, "K 3"]
 
 
 class WaveletNeural:
@@ -58,13 +51,15 @@ class WaveletNeural:
         grid: levels, features, log2_table, base_resolution, scale of S (Mueller 2022); with ``finest_pixels``
             the growth per level is not ``scale`` but follows from the finest cell's width in training pixels.
         width: neurons in each of the two hidden layers of f.
-        sh_degree: largest SH band of the reflected direction.
+        directions: kind of the encoding of reflected direction, normal and roughness, and its sizes
+            (``prt.nn.direction_encodings``).
+        solid_angle: transform radiance times solid angle instead of radiance, which the paper found worse.
         scale_outputs: predict T_k / sigma_k instead of T_k.
         texture: W, one vector a wavelet (``independent``, the paper's) or partly ``shared`` by neighbours.
-        training: steps, pixels, wavelets, largest_share, draw, lightings, target, loss, mu, epsilon, rates
-            and decay (grid, wavelet, mlp; the latter decoupled weight decay), average, gain_points (training
-            points that every wavelet's output is calibrated on after fitting, 0 for none:
-            ``prt.methods.wavelet_gain``), strategies.
+        training: steps, pixels, wavelets, largest_share, draw, lightings, lightings_per_view, supervision,
+            target, loss, mu, epsilon, rates and decay (grid, wavelet, mlp; decay is decoupled),
+            average, gain_points (training points that every wavelet's output is calibrated on after fitting,
+            0 for none: ``prt.methods.wavelet_gain``), strategies.
         precision: arithmetic of ``shade``: ``float32`` or ``bfloat16`` (the latter for the hidden layers).
         folded: shade through the folded form; the readable one (Algorithm 1 as printed) is the reference.
         chunk: pixels shaded at a time; bounds memory and keeps activations in cache.
@@ -72,6 +67,8 @@ class WaveletNeural:
 
     component = Component.INDIRECT
     tasks = frozenset({"relight_indirect"})
+    #: settings that a fitted model does not depend on
+    rendering = frozenset({"wavelets", "precision", "folded", "chunk"})
 
     def __init__(
         self,
@@ -79,10 +76,11 @@ class WaveletNeural:
         selection: Literal["magnitude", "area", "transport"],
         grid: dict[str, Any],
         width: int,
-        sh_degree: int,
+        directions: dict[str, Any],
         scale_outputs: bool,
         texture: Literal["shared", "independent"],
         training: dict[str, Any],
+        solid_angle: bool = False,
         precision: Literal["float32", "bfloat16"] = "float32",
         folded: bool = True,
         chunk: int = 128,
@@ -91,14 +89,7 @@ class WaveletNeural:
             raise PrtError(f"method.selection={selection!r} is not one of {', '.join(SELECTIONS)}")
         if precision not in ("float32", "bfloat16"):
             raise PrtError(f"method.precision={precision!r} is not one of float32, bfloat16")
-        if training["draw"] not in ("uniform", "transport"):
-            raise PrtError(f"method.training.draw={training['draw']!r} is not one of uniform, transport")
-        if training["target"] not in ("full", "truncated"):
-            raise PrtError(f"method.training.target={training['target']!r} is not one of full, truncated")
-        if not isinstance(training["gain_points"], int) or training["gain_points"] < 0:
-            raise PrtError(
-                f"method.training.gain_points={training['gain_points']!r} must be an integer of at least 0"
-            )
+        check_training(training)
         if texture not in ("shared", "independent"):
             raise PrtError(f"method.texture={texture!r} is not one of shared, independent")
         if wavelets < 1:
@@ -111,8 +102,8 @@ class WaveletNeural:
                 f"method.grid.finest_pixels={self.finest_pixels} must be a number above 0, or null"
             )
         self.wavelets, self.selection, self.grid_settings = wavelets, selection, grid
-        self.width, self.sh_degree, self.scale_outputs = width, sh_degree, scale_outputs
-        self.texture = texture
+        self.width, self.directions, self.scale_outputs = width, directions, scale_outputs
+        self.texture, self.solid_angle = texture, bool(solid_angle)
         self.training, self.precision, self.folded, self.chunk = training, precision, folded, chunk
         self.device = "cpu"
 
@@ -123,23 +114,31 @@ class WaveletNeural:
         grid = HashGrid(**self.grid_settings, bounds=bounds)
         scale = sigma if self.scale_outputs else None
         texture = WaveletTexture(resolution, grid.out_features, self.texture == "shared")
-        self.net = WaveletTransport(grid, texture, self.width, self.sh_degree, scale).to(device)
-        self.bounds, self.draw_weights = bounds, sigma.cpu()
-        self.sigma, self.resolution, self.device = sigma.to(device), resolution, device
+        directions = direction_encoding(self.directions, grid.out_features)
+        self.net = WaveletTransport(grid, texture, directions, self.width, scale).to(device)
+        self.bounds, self.sigma = bounds, sigma.to(device)
+        self.resolution, self.device = resolution, device
+        self.measure = measure(resolution, self.solid_angle)
 
     def fit(self, task: Any, log: FitLog, seed: int, device: str) -> None:
         """Optimise Eq. 8 on points of the training views under training lightings."""
         data, settings = task.training(), self.training
         torch.manual_seed(seed)
         generator = torch.Generator().manual_seed(seed)
+        if self.solid_angle:
+            transport = data.transport
+            weight = transport.weight / measure(task.resolution, True)[transport.texel.long()]
+            data = dataclasses.replace(data, transport=dataclasses.replace(transport, weight=weight))
         sigma = wavelet_scale(data.transport, data.gbuffer)
         if self.finest_pixels is not None:
             width = self.finest_pixels * data.pixel_size
             self.grid_settings["scale"] = level_growth(self.grid_settings, data.bounds, width)
         self.build(data.bounds, task.resolution, sigma, device)
-        net = self.net
+        net, by_transport = self.net, self.selection == "transport"
+        lightings = task.train_lightings() * self.measure
+        training = WaveletTraining(net, data, lightings, sigma, by_transport, settings, generator, device)
         parameters = {
-            "grid": net.grid.parameters(),
+            "grid": [*net.grid.parameters(), *net.directions.parameters()],
             "wavelet": net.texture.parameters(),
             "mlp": [net.feature, *net.mlp.parameters()],
         }
@@ -148,53 +147,11 @@ class WaveletNeural:
             for name, part in parameters.items()
         ]
         optimiser = torch.optim.AdamW(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
-        points = PointSampler(settings["strategies"], data.importance, settings["pixels"])
-        lightings = task.train_lightings()
-        coefficients = haar.forward(lightings.view(-1, 6, self.resolution, self.resolution, 3)).flatten(1, 3)
-        # the share of the image that a wavelet is expected to carry, over lightings and places
-        self.draw_weights = coefficients.square().mean(dim=(0, 2)).sqrt() * sigma
-        precision = torch.bfloat16 if settings["precision"] == "bfloat16" else torch.float32
-        surface = net.features(data.gbuffer)
-        positions = data.gbuffer.position.to(device)
-        # on the CPU the corners of a point cost more than the look-up; on a GPU they cost memory only
-        corners = net.grid.corners(positions) if device == "cpu" else None
-
-        def step() -> Tensor:
-            chosen = points.draw(generator)
-            which = torch.randint(len(lightings), (settings["lightings"],), generator=generator)
-            k = self.draw_wavelets(coefficients[which], generator)
-            kept = coefficients[which][:, k]
-            if settings["target"] == "truncated":
-                seen = haar.inverse(haar.keep_only(coefficients[which], k.expand(len(which), -1)))
-            else:
-                seen = lightings[which]
-            target = radiance(data.transport, chosen, seen).to(device)
-            space = net.grid(positions[chosen]) if corners is None else net.grid.lookup(corners.rows(chosen))
-            predicted = net.coefficients(space, surface[chosen].to(device), k.to(device), precision)
-            image = torch.einsum("pkc,lkc->lpc", predicted, kept.to(device))
-            return image_loss(image, target, settings["loss"], settings["mu"], settings["epsilon"])
-
-        fit_network(log, "wavelet_neural", net, settings, generator, step, optimiser)
+        fit_network(log, "wavelet_neural", net, settings, generator, training.loss, optimiser)
         if settings["gain_points"]:
-            gain = wavelet_gain(net, data, settings["gain_points"], generator, precision).to(device)
+            gain = wavelet_gain(net, data, settings["gain_points"], generator, training.precision).to(device)
             net.scale = net.scale * gain  # not in place: it may be the same tensor as sigma
             self.sigma = self.sigma * gain
-
-    def draw_wavelets(
-        self, coefficients: Float[Tensor, "L T 3"], generator: torch.Generator
-    ) -> Int[Tensor, "K"]:
-        """A step's wavelets: a share of the largest of its lightings, the rest at random (section 5)."""
-        count, total = self.training["wavelets"], coefficients.shape[1]
-        largest = round(count * self.training["largest_share"])
-        strength = coefficients.square().sum(dim=2)
-        if self.selection == "transport":
-            strength = strength * self.sigma.cpu().square()
-        mine = largest // len(coefficients) + 1
-        chosen = torch.unique(strength.topk(min(mine, total), dim=1).indices)[:largest]
-        weights = self.draw_weights.clone() if self.training["draw"] == "transport" else torch.ones(total)
-        weights[chosen] = 0
-        rest = torch.multinomial(weights, count - len(chosen), generator=generator)
-        return torch.cat([chosen, rest])
 
     # ---- rendering
 
@@ -203,74 +160,27 @@ class WaveletNeural:
         """Wavelet transform, selection of K, folding of the first layer (Algorithm 1, lines 2 and 3)."""
         check_resolution(lighting, self.resolution)
         values, index = self.select(lighting)
-        kept = values[index]
-        folded = self.net.fold(index)
-        if self.precision == "bfloat16":
-            folded = folded.bfloat16()
-        return WaveletCode(index, kept, folded, kept * self.net.scale[index][:, None])
+        kind = torch.bfloat16 if self.precision == "bfloat16" else torch.float32
+        return encode(self.net, index, values[index], kind)
 
     def select(self, lighting: Float[Tensor, "6 R R 3"]) -> tuple[Float[Tensor, "T 3"], Int[Tensor, "K"]]:
         """All coefficients of a lighting, and which of them are kept."""
-        values = haar.forward(lighting.to(self.device)).reshape(-1, 3)
+        flat = lighting.reshape(-1, 3) * self.measure.to(lighting.device)
+        values = haar.forward(flat.to(self.device))
         return values, haar.top_k(values, min(self.wavelets, len(values)), self.selection, self.sigma)
 
     def truncated(self, lighting: Float[Tensor, "6 R R 3"]) -> Float[Tensor, "6 R R 3"]:
         """The lighting that :meth:`light` keeps, for the error split."""
         values, index = self.select(lighting)
-        return haar.inverse(haar.keep_only(values, index)).view(lighting.shape).to(lighting.device)
+        kept = haar.inverse(haar.keep_only(values, index)).to(lighting.device)
+        return (kept / self.measure.to(kept)).view(lighting.shape)
 
     @torch.no_grad()
     def shade(self, gbuffer: GBuffer, code: WaveletCode, v: Tensor | None = None) -> Float[Tensor, "N 3"]:
         """Indirect radiance (Algorithm 1, lines 4 to 9)."""
-        gbuffer = gbuffer.to(self.device)
-        render = self.shade_folded if self.folded else self.shade_readable
-        return render(gbuffer.position, self.net.features(gbuffer), code).cpu()
-
-    def shade_readable(
-        self, position: Float[Tensor, "N 3"], features: Float[Tensor, "N F"], code: WaveletCode
-    ) -> Float[Tensor, "N 3"]:
-        """B = sum_k L_k T_k with T_k evaluated as printed."""
-        out = position.new_zeros((len(position), 3))
-        for rows in self.chunks(len(position)):
-            coefficients = self.net.coefficients_readable(position[rows], features[rows], code.index)
-            out[rows] = torch.einsum("nkc,kc->nc", coefficients, code.value)
-        return out
-
-    def shade_folded(
-        self, position: Float[Tensor, "N 3"], features: Float[Tensor, "N F"], code: WaveletCode
-    ) -> Float[Tensor, "N 3"]:
-        """The same with the first layer folded per light and the last layer applied after the sum over k.
-
-        Of both hidden layers only ``max(z, -b)`` is computed, z the pre-activation without its bias b: since
-        ``relu(z + b) = max(z, -b) + b`` and b is the same for all wavelets of a pixel, what is left out
-        passes through the next layer once per pixel. The two large products run in the precision of the code,
-        into two buffers that every chunk of pixels reuses: they stay in cache and are never allocated anew.
-        """
-        net, (_, second, last) = self.net, self.net.mlp.layers
-        kind, wavelets, width = code.folded.dtype, len(code.index), net.width
-        space = net.grid(position).to(kind)
-        bias = net.per_pixel(features)
-        next_bias = torch.addmm(second.bias, bias, second.weight.T)
-        floor, next_floor = (-part.to(kind)[:, None, :] for part in (bias, next_bias))
-        weight, light = second.weight.T.to(kind), code.weight.T.to(kind)
-        first, hidden = space.new_empty((2, min(self.chunk, len(position)) * wavelets, width))
-        summed = space.new_empty((len(position), 3, width))
-        for rows in self.chunks(len(position)):
-            pixels = len(space[rows])
-            a, b = (buffer[: pixels * wavelets] for buffer in (first, hidden))
-            per_wavelet = (pixels, wavelets, width)
-            torch.mm(space[rows], code.folded, out=a.view(pixels, -1))
-            torch.maximum(a.view(per_wavelet), floor[rows], out=a.view(per_wavelet))
-            torch.mm(a, weight, out=b)
-            torch.maximum(b.view(per_wavelet), next_floor[rows], out=b.view(per_wavelet))
-            torch.matmul(light, b.view(per_wavelet), out=summed[rows])
-        total = code.weight.sum(dim=0)
-        out = torch.einsum("nch,ch->nc", summed.float(), last.weight)
-        return out + total * (next_bias @ last.weight.T + last.bias)
-
-    def chunks(self, pixels: int) -> Iterator[slice]:
-        """The pixels of a frame in parts of ``chunk``."""
-        return (slice(start, start + self.chunk) for start in range(0, pixels, self.chunk))
+        pixel = self.net.inputs(gbuffer.to(self.device))
+        render = shade_folded if self.folded else shade_readable
+        return render(self.net, pixel, code, self.chunk).cpu()
 
     # ---- storage
 
@@ -309,3 +219,9 @@ def level_growth(grid: dict[str, Any], bounds: tuple[list[float], list[float]], 
     extent = max(high - low for low, high in zip(*bounds, strict=True))
     ratio = extent / (width * grid["base_resolution"])
     return max(1.0, ratio) ** (1 / max(1, grid["levels"] - 1))
+
+
+def measure(resolution: int, solid_angle: bool) -> Float[Tensor, "T 1"]:
+    """What lightings are multiplied by, and transport divided by, before the wavelet transform, mean 1."""
+    angles = texel_solid_angles(resolution).reshape(-1, 1)
+    return angles / angles.mean() if solid_angle else torch.ones_like(angles)

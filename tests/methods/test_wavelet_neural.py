@@ -18,6 +18,8 @@ TRAINING = dict(
     largest_share=0.5,
     draw="transport",
     lightings=2,
+    lightings_per_view=None,
+    supervision="images",
     target="truncated",
     loss="mu_law_slope",
     precision="float32",
@@ -37,7 +39,7 @@ def make(**changes) -> WaveletNeural:
         wavelets=16,
         selection="transport",
         width=32,
-        sh_degree=4,
+        directions=dict(kind="sh", degree=4, bins=8, levels=2, features=2, base_resolution=2, scale=2.0),
         scale_outputs=True,
         texture="shared",
         training=training,
@@ -118,19 +120,10 @@ def test_truncated_lighting_has_k_wavelets(built):
 
 def test_training_coefficients_equal_the_readable_ones(built):
     gbuffer, k = random_gbuffer(40), torch.tensor([0, 5, 100, 383])
-    features = built.net.features(gbuffer)
-    fast = built.net.coefficients(built.net.grid(gbuffer.position), features, k)
-    slow = built.net.coefficients_readable(gbuffer.position, features, k)
+    pixel = built.net.inputs(gbuffer)
+    fast = built.net.coefficients(pixel, k)
+    slow = built.net.coefficients_readable(pixel, k)
     assert torch.allclose(fast, slow, rtol=1e-4, atol=1e-4)
-
-
-def test_drawn_wavelets_are_distinct_and_hold_the_largest(built):
-    coefficients = haar.forward(torch.stack([random_lighting(1), random_lighting(2)])).flatten(1, 3)
-    drawn = built.draw_wavelets(coefficients, torch.Generator().manual_seed(3))
-    assert len(drawn) == TRAINING["wavelets"] == len(torch.unique(drawn))
-    strength = coefficients.square().sum(dim=2) * built.sigma.square()
-    for row in strength:
-        assert set(row.argsort(descending=True)[:4].tolist()) <= set(drawn.tolist())
 
 
 def test_the_finest_cells_get_the_width_asked_for():
