@@ -11,13 +11,15 @@ The YAML names a function instead of methods; the rest of it means what it means
 The function is called once per scene, as ``function(scene=..., lighting=..., **settings)``, and returns
 rows with ``method, device, variant, component, metric, value, lo, hi, n``. It gets what its parameters
 name: ``scene``, ``lighting``, ``task`` (built from both), ``method`` (the settings of the chosen method, a
-dict), and ``folder`` (a Path), the report folder, where it may write PNG pictures that the YAML names::
+dict), ``model`` (that method fitted; its fit is kept and resumed as that of a run), and ``folder`` (a Path),
+the report folder, where it may write PNG pictures that the YAML names::
 
     pictures: [{file: basis.png, caption: The first eight vectors}]
 
 It is measured anew by every call of the command: times compare only within one run on one machine.
 """
 
+import functools
 import inspect
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -41,7 +43,7 @@ from prt.bench.results import (
     read_results,
     write_results,
 )
-from prt.bench.run import build_task
+from prt.bench.run import build_task, fitted
 from prt.bench.table import check_writable, grid_overrides, say
 from prt.bench.verdicts import Evidence, judge
 from prt.cache import write_atomically
@@ -88,11 +90,13 @@ def measure(spec: "Spec", cfg: DictConfig, variant: str) -> list[dict[str, Any]]
     """The benchmark's rows on one scene, completed to rows of ``results.csv``."""
     named = OmegaConf.create({"benchmark": spec.benchmark, "choice": {"benchmark": spec.name}})
     settings: Any = OmegaConf.to_container(cfg.method, resolve=True)
+    task = functools.cache(lambda: build_task(cfg))
     makers: dict[str, Callable[[], Any]] = {
         "scene": lambda: build(cfg, "scene"),
         "lighting": lambda: build(cfg, "lighting"),
         "folder": lambda: spec.report,
-        "task": lambda: build_task(cfg),
+        "task": task,
+        "model": lambda: fitted(cfg, task()),
         "method": lambda: {key: value for key, value in settings.items() if key != "_target_"},
     }
     wanted = takes(str(spec.benchmark["_target_"]))

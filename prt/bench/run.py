@@ -20,9 +20,12 @@ from prt.bench import compose, provenance
 from prt.bench.build import build, target_class
 from prt.bench.evaluate import evaluate_run, time_run
 from prt.bench.fit_log import RunLog
-from prt.bench.run_folder import RunFolder, file_name, run_hash
+from prt.bench.run_folder import RunFolder, file_name, run_hash, write_json
 from prt.cache import write_atomically
 from prt.errors import PrtError
+
+#: what timing.json says of the fit
+FIT_TIMING = ("fit", "bake", "device", "threads")
 
 
 def folder_of(cfg: DictConfig) -> RunFolder:
@@ -84,17 +87,69 @@ def check_task(cfg: DictConfig, task: Any, method: Any) -> None:
 
 def carry_out(folder: RunFolder, cfg: DictConfig, task: Any, method: Any) -> None:
     """Fit, reload, evaluate, time, mark as done."""
-    device = str(cfg.device)
-    if not whole_checkpoint(folder):
+    if not whole_checkpoint(folder) and not adopt(folder, cfg, method):
         fit(folder, cfg, task, method)
-    # what is judged is what was stored: a fresh method, read back from the file
-    fitted = build(cfg, "method")
-    fitted.load(folder.checkpoint, task, device)
     del method
+    fitted = stored(folder, cfg, task)
     evaluate_run(folder, cfg, task, fitted)
     if "shade" not in folder.timing():
         time_run(folder, cfg, task, fitted)
     folder.finish()
+
+
+def stored(folder: RunFolder, cfg: DictConfig, task: Any) -> Any:
+    """What is judged is what was stored: a fresh method, read back from the file."""
+    method = build(cfg, "method")
+    method.load(folder.checkpoint, task, str(cfg.device))
+    return method
+
+
+def fitted(cfg: DictConfig, task: Any) -> Any:
+    """The configured method, fitted, for benchmarks: kept as that of any run, so that a stopped fit goes on.
+
+    Raises:
+        PrtError: as :func:`run`.
+    """
+    folder, method = folder_of(cfg), build(cfg, "method")
+    check_task(cfg, task, method)
+    with folder.lock():
+        if not whole_checkpoint(folder) and not adopt(folder, cfg, method):
+            folder.begin(cfg, provenance.collect(cfg))
+            fit(folder, cfg, task, method)
+        return stored(folder, cfg, task)
+
+
+def adopt(folder: RunFolder, cfg: DictConfig, method: Any) -> bool:
+    """Take over the fitted model of a run that differs only in what a fit does not depend on.
+
+    Those settings are the method's ``rendering``, as the number of wavelets that are kept in a frame.
+    """
+    names = getattr(method, "rendering", frozenset())
+    if not names or not folder.path.parent.is_dir():
+        return False
+    mine = fit_settings(cfg, names)
+    for path in sorted(folder.path.parent.iterdir()):
+        other = RunFolder(path)
+        timing = {key: other.timing()[key] for key in FIT_TIMING if key in other.timing()}
+        if path == folder.path or "fit" not in timing or not other.checkpoint.exists():
+            continue
+        if fit_settings(other.config(), names) != mine or not undamaged(other):
+            continue
+        say(f"    fitted already: {path}")
+        write_json(folder.path / "provenance.json", {**folder.provenance(), "fitted_by": path.name})
+        folder.add_timing(**timing)
+        write_atomically(folder.log_file, other.log_file.read_bytes() if other.log_file.exists() else b"")
+        write_atomically(digest_file(folder), digest_file(other).read_bytes())
+        write_atomically(folder.checkpoint, other.checkpoint.read_bytes())
+        return True
+    return False
+
+
+def fit_settings(cfg: DictConfig, rendering: frozenset[str]) -> dict[str, Any]:
+    """What a fitted model depends on, as plain data."""
+    plain = compose.hashed_settings(cfg)
+    plain["method"] = {key: value for key, value in plain["method"].items() if key not in rendering}
+    return {key: value for key, value in plain.items() if key != "run"}
 
 
 def fit(folder: RunFolder, cfg: DictConfig, task: Any, method: Any) -> None:
@@ -158,12 +213,17 @@ def whole_checkpoint(folder: RunFolder) -> bool:
     """Whether the fitted model is there and undamaged; a damaged one is dropped and fitted again."""
     if not folder.checkpoint.exists():
         return False
-    path = digest_file(folder)
-    if path.exists() and path.read_text().strip() == digest(folder.checkpoint):
+    if undamaged(folder):
         return True
     warnings.warn(f"{folder.checkpoint} is damaged and will be fitted again", stacklevel=2)
     folder.checkpoint.unlink()
     return False
+
+
+def undamaged(folder: RunFolder) -> bool:
+    """Whether the fitted model is the one that was written."""
+    path = digest_file(folder)
+    return path.exists() and path.read_text().strip() == digest(folder.checkpoint)
 
 
 def summary(folder: RunFolder) -> str:

@@ -63,7 +63,9 @@ class Silent:
 class Method(Protocol):
     """A way to render a scene under a lighting after precomputation.
 
-    Hydra instantiates it from ``conf/method/<name>.yaml`` (``_target_`` and its settings).
+    Hydra instantiates it from ``conf/method/<name>.yaml`` (``_target_`` and its settings). A class may name
+    in ``rendering`` the settings that a fitted model does not depend on: runs that differ in these alone
+    share one fit.
     """
 
     component: Component

@@ -1,8 +1,7 @@
 """Dynamic radiosity measured where one fit serves several figures (Su 2024, figures 7, 10 and 11), and what
 the variables of a scene do.
 
-Called by ``prt table su2024/figure7`` and the like. A benchmark fits its own networks: it is not resumed
-within a fit.
+Called by ``prt table su2024/figure7`` and the like.
 """
 
 import copy
@@ -58,11 +57,11 @@ def mape_of(model: DynamicRadiosity, items: list[TestItem]) -> float:
 
 
 def renderings(
-    task: Any, method: dict[str, Any], folder: Path, right_hand: list[int], pixel_samples: list[int]
+    task: Any, model: DynamicRadiosity, folder: Path, right_hand: list[int], pixel_samples: list[int]
 ) -> list[dict[str, Any]]:
     """One network shown in several ways: its own values, the right-hand side with more and more directions
     (figure 7), more rays a pixel (figure 11). Writes ``renderings.png`` into ``folder``."""
-    model, items = fitted(task, method), task.tests()
+    items = task.tests()
     shown = items[0]
     exposure = exposure_of(shown.references["full"].numpy())
     pictures = [("reference", shown.references["full"])]
@@ -100,7 +99,9 @@ def strip(pictures: list[tuple[str, Tensor]], exposure: float, path: Path) -> No
     figure.savefig(path, dpi=150, metadata={"Software": None})
 
 
-def fine_tuning(task: Any, method: dict[str, Any], change: float, steps: list[int]) -> list[dict[str, Any]]:
+def fine_tuning(
+    task: Any, model: DynamicRadiosity, method: dict[str, Any], change: float, steps: list[int]
+) -> list[dict[str, Any]]:
     """Neural radiosity of one state, carried on after a small change of it (figure 10).
 
     Both have the same network sizes and the same number of steps for their first fit. ``steps/needed`` is the
@@ -108,6 +109,7 @@ def fine_tuning(task: Any, method: dict[str, Any], change: float, steps: list[in
     the row is missing.
 
     Args:
+        model: dynamic radiosity, fitted; ``method``: its settings.
         change: how far every variable moves, from 0.5.
         steps: of fine-tuning, at which the error is measured; ascending from 0.
 
@@ -121,7 +123,7 @@ def fine_tuning(task: Any, method: dict[str, Any], change: float, steps: list[in
     items = [item for item in task.tests() if item.split == "given"]
     if not items or not torch.allclose(items[0].lighting, torch.tensor(after)):
         raise PrtError(f"figure 10 is judged in the changed state: set task.given=[{after}]")
-    ours = mape_of(fitted(task, method), items)
+    ours = mape_of(model, items)
     rows = [row("mape", ours, "")]
     static = fitted(task, method, encoding="static", static_state=before)
     needed = None

@@ -72,6 +72,7 @@ class DynamicRadiosity(RadianceField):
     """
 
     net: RadianceNetwork
+    rendering = frozenset({"pixel_samples", "fxaa", "right_hand"})
 
     def __init__(
         self,

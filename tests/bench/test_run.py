@@ -4,11 +4,12 @@ import json
 import fakes
 import pandas as pd
 import pytest
+import torch
 from fakes import CHOICE, write_conf
 
 from prt.bench import score
 from prt.bench.compose import compose
-from prt.bench.run import folder_of, run
+from prt.bench.run import build_task, fitted, folder_of, run
 from prt.bench.run_folder import METRIC_COLUMNS, RunFolder, find_runs
 from prt.errors import PrtError
 
@@ -218,3 +219,37 @@ def test_reading_a_folder_that_is_no_run(tmp_path):
     with pytest.raises(PrtError, match="no run folder"):
         RunFolder(tmp_path).config()
     assert RunFolder(tmp_path).state() == "absent"
+
+
+def test_runs_that_differ_in_rendering_alone_share_a_fit(choice, monkeypatch, capsys):
+    monkeypatch.setattr(fakes.FakeMethod, "rendering", frozenset({"sleep"}), raising=False)
+    first = run(compose(choice))
+    capsys.readouterr()
+    second = run(compose([*choice, "method.sleep=0.001"]))
+    assert "fitted already" in capsys.readouterr().err
+    assert second.checkpoint.read_bytes() == first.checkpoint.read_bytes()
+    assert second.provenance()["fitted_by"] == first.path.name
+    assert second.timing()["fit"] == first.timing()["fit"]
+    assert len(second.log()) == len(first.log())
+    run(compose([*choice, "method.sleep=0.001", "method.rate=0.02"]))
+    assert "fitted already" not in capsys.readouterr().err
+
+
+def test_a_damaged_fit_is_not_taken_over(choice, monkeypatch, capsys):
+    monkeypatch.setattr(fakes.FakeMethod, "rendering", frozenset({"sleep"}), raising=False)
+    first = run(compose(choice))
+    first.checkpoint.write_bytes(first.checkpoint.read_bytes()[:-1] + b"x")
+    capsys.readouterr()
+    run(compose([*choice, "method.sleep=0.001"]))
+    assert "fitted already" not in capsys.readouterr().err
+
+
+def test_a_benchmarks_model_is_fitted_once(choice, capsys):
+    cfg = compose(choice)
+    task = build_task(cfg)
+    one, two = fitted(cfg, task), fitted(cfg, task)
+    assert folder_of(cfg).state() == "stopped"  # fitted, not judged
+    x = torch.linspace(0, 1, 5)[:, None]
+    assert torch.equal(one.net(x), two.net(x))
+    run(cfg)
+    assert len(folder_of(cfg).log()) == 40

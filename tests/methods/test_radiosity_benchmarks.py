@@ -25,7 +25,9 @@ def found(rows, metric):
 
 
 def test_the_right_hand_side_costs_more_and_errs_less(tmp_path):
-    rows = benchmark_radiosity.renderings(task(), settings(steps=40), tmp_path, [64], [4])
+    where = task()
+    model = benchmark_radiosity.fitted(where, settings(steps=40))
+    rows = benchmark_radiosity.renderings(where, model, tmp_path, [64], [4])
     error, taken = found(rows, "mape"), found(rows, "time/shade")
     assert set(error) == {"left_hand=1", "right_hand=64", "pixel_samples=4"} == set(taken)
     assert error["right_hand=64"] < error["left_hand=1"]
@@ -35,13 +37,14 @@ def test_the_right_hand_side_costs_more_and_errs_less(tmp_path):
 
 def test_fine_tuning_brings_a_static_network_to_another_state():
     where = task("task.states=0", "task.given=[[0.9,0.9]]")
-    rows = benchmark_radiosity.fine_tuning(where, settings(steps=40), 0.4, [0, 40])
+    model = benchmark_radiosity.fitted(where, settings(steps=40))
+    rows = benchmark_radiosity.fine_tuning(where, model, settings(steps=40), 0.4, [0, 40])
     error = {(row["method"], row["variant"]): row["value"] for row in rows if row["metric"] == "mape"}
     assert error["static_radiosity", "steps=40"] < error["static_radiosity", "steps=0"]
     assert ("dynamic_radiosity", "") in error
     assert all(diagnostic_of(row["metric"]) or row["metric"].startswith(("time/", "mape")) for row in rows)
     with pytest.raises(PrtError, match="set task.given"):
-        benchmark_radiosity.fine_tuning(task(), settings(steps=2), 0.4, [0])
+        benchmark_radiosity.fine_tuning(task(), model, settings(steps=2), 0.4, [0])
 
 
 def test_each_variable_changes_the_image_and_costs_a_move():
