@@ -25,7 +25,7 @@ from prt.nn.radiance_network import RadianceNetwork, RadiancePoints, StateCode
 from prt.nn.scene_planes import PlainState, ScenePlanes, StateNetwork
 from prt.scene.capture import rows_of
 from prt.scene.gbuffer import GBuffer
-from prt.trace.radiance_rays import right_hand_side
+from prt.trace.radiance_rays import reflectance, right_hand_side
 from prt.trace.surface_states import SurfaceStates
 
 ENCODINGS = ("decomposed", "conditioned", "kplanes", "hashgrid_4d", "static")
@@ -338,7 +338,7 @@ def points_of(si: Any, count: int) -> RadiancePoints:
     wo = si.to_world(si.wi)
     normal = si.sh_frame.n
     normal = dr.select(dr.dot(normal, wo) < 0, -normal, normal)
-    albedo = si.bsdf().eval_diffuse_reflectance(si)
+    albedo = reflectance(si, si.bsdf())
     dr.eval(wo, normal, albedo)
     one = torch.ones((count, 3))
     return RadiancePoints(

@@ -20,7 +20,7 @@ class RadiancePoints:
         position: world units.
         normal: shading normal on the side of ``wo``, unit.
         wo: the direction light leaves to, unit.
-        albedo: diffuse reflectance.
+        albedo: diffuse reflectance, or of a metal what its lobe reflects.
         weight: what the radiance counts for on the path that ends here.
         path: number of that path.
     """

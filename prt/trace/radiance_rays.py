@@ -80,7 +80,7 @@ def follow(mi_scene, ray, count: int, seed: int, weight=None, pdf=None, origin=N
         flags = bsdf.flags()
         normal = si.sh_frame.n
         normal = dr.select(dr.dot(normal, ray.d) > 0, -normal, normal)
-        albedo = dr.select(si.is_valid(), bsdf.eval_diffuse_reflectance(si), 0.0)
+        albedo = dr.select(si.is_valid(), reflectance(si, bsdf), 0.0)
         valid = si.is_valid() & (dr.max(throughput) > 0)
         asked = valid & mi.has_flag(flags, smooth)
         onward = valid & mi.has_flag(flags, mi.BSDFFlags.Delta)
@@ -112,6 +112,22 @@ def follow(mi_scene, ray, count: int, seed: int, weight=None, pdf=None, origin=N
         none = torch.zeros((0, 3))
         found = [RadiancePoints(none, none, none, none, none, torch.zeros(0, dtype=torch.long))]
     return Answers(known, RadiancePoints.concatenate(found), kept)
+
+
+def reflectance(si, bsdf):
+    """The colour of surfaces: diffuse reflectance, or of a BSDF that has none what its lobe reflects.
+
+    Mitsuba's ``eval_diffuse_reflectance`` of a rough metal is the value of its narrow lobe far off the mirror
+    direction, which is about black and shows no texture. The sample in the middle of the lobe weighs what
+    arrives from there by the metal's colour instead.
+    """
+    import drjit as dr
+
+    mi = mitsuba()
+    _, weight = bsdf.sample(lobes(False), si, mi.Float(0.5), mi.Point2f(0.5))
+    lobe = dr.select(dr.all(dr.isfinite(weight)), dr.clip(weight, 0.0, 1.0), 0.0)
+    diffuse = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Diffuse)
+    return dr.select(diffuse, bsdf.eval_diffuse_reflectance(si), lobe)
 
 
 def power(a, b):

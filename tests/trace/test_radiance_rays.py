@@ -162,3 +162,21 @@ def test_settings_out_of_range_are_refused():
         right_hand_side(scene, si, count, 4, 0, "cosine")
     with pytest.raises(PrtError, match="at least 1"):
         right_hand_side(scene, si, count, 0, 0)
+
+
+def test_colours_are_those_of_the_surface_whatever_its_lobes():
+    """Of matt paint its reflectance; of a rough metal with a texture the texture, from every side."""
+    values = {
+        "type": "checkerboard",
+        "color0": 0.2,
+        "color1": 0.8,
+        "to_uv": mitsuba().ScalarTransform4f().scale([4, 4, 1]),
+    }
+    smooth = {"type": "roughconductor", "alpha": 0.1, "specular_reflectance": values, "material": "none"}
+    for bsdf, allowed in ((diffuse(0.3), [0.3]), ({"type": "twosided", "bsdf": smooth}, [0.2, 0.8])):
+        scene = lit({"ball": sphere(bsdf)})
+        albedo = follow(scene, rays(400), 400, 1).points.albedo[:, 0]
+        near = (albedo[:, None] - torch.tensor(allowed)).abs().amin(dim=1)
+        # the middle of a lobe loses a little to shadowing
+        assert float(near.quantile(0.9)) < 0.03, bsdf
+        assert all(bool(((albedo - value).abs() < 0.03).any()) for value in allowed)
