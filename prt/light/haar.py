@@ -150,6 +150,18 @@ def top_k(
     T = coeffs.shape[-2]
     if not 1 <= k <= T:
         raise PrtError(f"number of wavelets K={k} must be from 1 to {T}, the number of coefficients")
+    return importance(coeffs, how, scale).sort(dim=-1, descending=True, stable=True).indices[..., :k]
+
+
+def importance(
+    coeffs: Float[Tensor, "*B T 3"], how: Selection = "magnitude", scale: Float[Tensor, "..."] | None = None
+) -> Float[Tensor, "*B T"]:
+    """What :func:`top_k` ranks coefficients by.
+
+    Raises:
+        PrtError: if ``how`` is unknown, or ``scale`` is missing or of another shape.
+    """
+    T = coeffs.shape[-2]
     if how not in SELECTIONS:
         raise PrtError(f"wavelet selection {how!r} is not one of {', '.join(SELECTIONS)}")
     if how == "transport":
@@ -159,13 +171,12 @@ def top_k(
                 f"wavelet selection 'transport' needs a scale of shape ({T},) or ({T}, 3), got {got}"
             )
         weight = scale if scale.ndim == 2 else scale[:, None]
-        rank = (coeffs * weight.to(coeffs)).norm(dim=-1)
-    else:
-        rank = coeffs.norm(dim=-1)
-        if how == "area":
-            R = resolution_of(T)
-            rank = rank * support_size(torch.arange(T, device=coeffs.device), R).to(coeffs) ** 2
-    return rank.sort(dim=-1, descending=True, stable=True).indices[..., :k]
+        return (coeffs * weight.to(coeffs)).norm(dim=-1)
+    rank = coeffs.norm(dim=-1)
+    if how == "area":
+        R = resolution_of(T)
+        rank = rank * support_size(torch.arange(T, device=coeffs.device), R).to(coeffs) ** 2
+    return rank
 
 
 def keep_only(coeffs: Float[Tensor, "*B T C"], index: Int[Tensor, "*B k"]) -> Float[Tensor, "*B T C"]:

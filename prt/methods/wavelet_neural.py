@@ -26,19 +26,27 @@ from torch import Tensor
 from prt.errors import PrtError
 from prt.light import haar
 from prt.light.cubemap import texel_solid_angles
+from prt.light.steady import SteadySelection
 from prt.methods.base import Component, FitLog, check_resolution
+from prt.methods.mirrored_training import with_mirrored
 from prt.methods.training import fit_network
+from prt.methods.wavelet_fused import Form, check_kernel, encode, form_of, shade_as
 from prt.methods.wavelet_gain import wavelet_gain
-from prt.methods.wavelet_shading import WaveletCode, encode, shade_folded, shade_readable
+from prt.methods.wavelet_mirrors import Mirrors, sigma_setting
+from prt.methods.wavelet_shading import WaveletCode
 from prt.methods.wavelet_training import WaveletTraining, check_training
 from prt.nn.direction_encodings import direction_encoding
 from prt.nn.hashgrid import HashGrid
+from prt.nn.vertex_features import VertexFeatures
 from prt.nn.wavelet_texture import WaveletTexture
 from prt.nn.wavelet_transport import WaveletTransport
 from prt.scene.gbuffer import GBuffer
+from prt.scene.mesh_places import MeshPlaces
+from prt.scene.subdivide import fine_mesh
 from prt.trace.statistics import wavelet_scale
 
 SELECTIONS = ("magnitude", "area", "transport")
+FEATURES = ("hashgrid", "vertices")
 
 
 class WaveletNeural:
@@ -50,6 +58,11 @@ class WaveletNeural:
             |L_k| sigma_k.
         grid: levels, features, log2_table, base_resolution, scale of S (Mueller 2022); with ``finest_pixels``
             the growth per level is not ``scale`` but follows from the finest cell's width in training pixels.
+        features: where S is stored: in the ``hashgrid``, or on the ``vertices`` of the scene's meshes with a
+            softplus behind (section 6.4). M is ``grid.levels`` times ``grid.features`` either way.
+        vertices: edge_pixels, the longest edge in training pixels that a mesh may have (longer ones are
+            halved: what lies between the corners of a large triangle is not stored anywhere), and most, the
+            vertices that are allowed.
         width: neurons in each of the two hidden layers of f.
         directions: kind of the encoding of reflected direction, normal and roughness, and its sizes
             (``prt.nn.direction_encodings``).
@@ -63,12 +76,17 @@ class WaveletNeural:
         precision: arithmetic of ``shade``: ``float32`` or ``bfloat16`` (the latter for the hidden layers).
         folded: shade through the folded form; the readable one (Algorithm 1 as printed) is the reference.
         chunk: pixels shaded at a time; bounds memory and keeps activations in cache.
+        kernel: the folded form in ``plain`` torch, or ``fused``: Triton on a GPU, compiled C++ on the CPU
+            (``prt.methods.wavelet_fused``). ``auto``: fused on a GPU where Triton is installed, else plain.
+        secondary: rays traced at near-mirrors instead (``prt.methods.wavelet_mirrors.Mirrors``); None: never.
+        mirrored: pixels of surfaces of a sigma below this also train what they show, which secondary rays ask
+            for (``prt.methods.mirrored_training``); 0: none.
     """
 
     component = Component.INDIRECT
     tasks = frozenset({"relight_indirect"})
     #: settings that a fitted model does not depend on
-    rendering = frozenset({"wavelets", "precision", "folded", "chunk"})
+    rendering = frozenset({"wavelets", "precision", "folded", "chunk", "kernel", "secondary"})
 
     def __init__(
         self,
@@ -80,16 +98,26 @@ class WaveletNeural:
         scale_outputs: bool,
         texture: Literal["shared", "independent"],
         training: dict[str, Any],
+        features: Literal["hashgrid", "vertices"] = "hashgrid",
+        vertices: dict[str, Any] | None = None,
         solid_angle: bool = False,
         precision: Literal["float32", "bfloat16"] = "float32",
         folded: bool = True,
         chunk: int = 128,
+        secondary: dict[str, Any] | None = None,
+        mirrored: float = 0.0,
+        kernel: Literal["auto", "plain", "fused"] = "auto",
     ):
         if selection not in SELECTIONS:
             raise PrtError(f"method.selection={selection!r} is not one of {', '.join(SELECTIONS)}")
         if precision not in ("float32", "bfloat16"):
             raise PrtError(f"method.precision={precision!r} is not one of float32, bfloat16")
+        if features not in FEATURES:
+            raise PrtError(f"method.features={features!r} is not one of {', '.join(FEATURES)}")
+        if features == "vertices":
+            check_vertices(vertices or {})
         check_training(training)
+        check_kernel(kernel, folded)
         if texture not in ("shared", "independent"):
             raise PrtError(f"method.texture={texture!r} is not one of shared, independent")
         if wavelets < 1:
@@ -102,16 +130,26 @@ class WaveletNeural:
                 f"method.grid.finest_pixels={self.finest_pixels} must be a number above 0, or null"
             )
         self.wavelets, self.selection, self.grid_settings = wavelets, selection, grid
+        self.features, self.vertices = features, dict(vertices or {})
+        self.longest_edge: float | None = None
         self.width, self.directions, self.scale_outputs = width, directions, scale_outputs
         self.texture, self.solid_angle = texture, bool(solid_angle)
         self.training, self.precision, self.folded, self.chunk = training, precision, folded, chunk
+        self.kernel = kernel
+        self.mirrors, self.mirrored = Mirrors(secondary), sigma_setting("mirrored", mirrored)
         self.device = "cpu"
 
     # ---- fitting
 
-    def build(self, bounds, resolution: int, sigma: Tensor, device: str) -> None:
-        """Make an untrained network for a box of space and a cubemap resolution."""
-        grid = HashGrid(**self.grid_settings, bounds=bounds)
+    def build(self, bounds, resolution: int, sigma: Tensor, device: str, scene: Any = None) -> None:
+        """Make an untrained network for a box of space and a cubemap resolution.
+
+        ``scene``: whose vertices hold the features, where they do.
+        """
+        if self.longest_edge is None:
+            grid = HashGrid(**self.grid_settings, bounds=bounds)
+        else:
+            grid = self.on_vertices(scene, self.longest_edge)
         scale = sigma if self.scale_outputs else None
         texture = WaveletTexture(resolution, grid.out_features, self.texture == "shared")
         directions = direction_encoding(self.directions, grid.out_features)
@@ -120,9 +158,17 @@ class WaveletNeural:
         self.resolution, self.device = resolution, device
         self.measure = measure(resolution, self.solid_angle)
 
+    def on_vertices(self, scene: Any, longest: float) -> VertexFeatures:
+        """S on the vertices of a scene's meshes."""
+        mesh = fine_mesh(scene, longest, self.vertices["most"], "method.vertices")
+        terms = self.grid_settings["levels"] * self.grid_settings["features"]
+        return VertexFeatures(len(mesh.position), terms, MeshPlaces(mesh))
+
     def fit(self, task: Any, log: FitLog, seed: int, device: str) -> None:
         """Optimise Eq. 8 on points of the training views under training lightings."""
         data, settings = task.training(), self.training
+        if self.mirrored:
+            data = with_mirrored(data, task.mitsuba_scene, self.mirrored)
         torch.manual_seed(seed)
         generator = torch.Generator().manual_seed(seed)
         if self.solid_angle:
@@ -133,7 +179,9 @@ class WaveletNeural:
         if self.finest_pixels is not None:
             width = self.finest_pixels * data.pixel_size
             self.grid_settings["scale"] = level_growth(self.grid_settings, data.bounds, width)
-        self.build(data.bounds, task.resolution, sigma, device)
+        if self.features == "vertices":
+            self.longest_edge = self.vertices["edge_pixels"] * data.pixel_size
+        self.build(data.bounds, task.resolution, sigma, device, task.scene)
         net, by_transport = self.net, self.selection == "transport"
         lightings = task.train_lightings() * self.measure
         training = WaveletTraining(net, data, lightings, sigma, by_transport, settings, generator, device)
@@ -152,22 +200,45 @@ class WaveletNeural:
             gain = wavelet_gain(net, data, settings["gain_points"], generator, training.precision).to(device)
             net.scale = net.scale * gain  # not in place: it may be the same tensor as sigma
             self.sigma = self.sigma * gain
+        self.mirrors.use(getattr(task, "scene", None))
 
     # ---- rendering
 
     @torch.no_grad()
-    def light(self, lighting: Float[Tensor, "6 R R 3"]) -> WaveletCode:
-        """Wavelet transform, selection of K, folding of the first layer (Algorithm 1, lines 2 and 3)."""
+    def light(self, lighting: Float[Tensor, "6 R R 3"], steady: SteadySelection | None = None) -> WaveletCode:
+        """Wavelet transform, selection of K, folding of the first layer (Algorithm 1, lines 2 and 3).
+
+        ``steady``: of a light that moves, the selection that goes on from the frame before.
+        """
         check_resolution(lighting, self.resolution)
-        values, index = self.select(lighting)
-        kind = torch.bfloat16 if self.precision == "bfloat16" else torch.float32
-        return encode(self.net, index, values[index], kind)
+        if steady is None:
+            values, index = self.select(lighting)
+            kept = values[index]
+        else:
+            values = self.transformed(lighting)
+            index, level = (part.to(values.device) for part in steady.next(self.rank(values)))
+            kept = values[index] * level[:, None]
+        code = encode(self.form, self.net, index, kept, self.precision)
+        return self.mirrors.coded(code, lighting)
+
+    @property
+    def form(self) -> Form:
+        """What shades on this device."""
+        return form_of(self.kernel, self.device)
 
     def select(self, lighting: Float[Tensor, "6 R R 3"]) -> tuple[Float[Tensor, "T 3"], Int[Tensor, "K"]]:
         """All coefficients of a lighting, and which of them are kept."""
-        flat = lighting.reshape(-1, 3) * self.measure.to(lighting.device)
-        values = haar.forward(flat.to(self.device))
+        values = self.transformed(lighting)
         return values, haar.top_k(values, min(self.wavelets, len(values)), self.selection, self.sigma)
+
+    def transformed(self, lighting: Float[Tensor, "6 R R 3"]) -> Float[Tensor, "T 3"]:
+        """All wavelet coefficients of a lighting."""
+        flat = lighting.reshape(-1, 3) * self.measure.to(lighting.device)
+        return haar.forward(flat.to(self.device))
+
+    def rank(self, values: Float[Tensor, "T 3"]) -> Float[Tensor, "T"]:
+        """What coefficients are selected by."""
+        return haar.importance(values, self.selection, self.sigma)
 
     def truncated(self, lighting: Float[Tensor, "6 R R 3"]) -> Float[Tensor, "6 R R 3"]:
         """The lighting that :meth:`light` keeps, for the error split."""
@@ -177,15 +248,31 @@ class WaveletNeural:
 
     @torch.no_grad()
     def shade(self, gbuffer: GBuffer, code: WaveletCode, v: Tensor | None = None) -> Float[Tensor, "N 3"]:
-        """Indirect radiance (Algorithm 1, lines 4 to 9)."""
-        pixel = self.net.inputs(gbuffer.to(self.device))
-        render = shade_folded if self.folded else shade_readable
-        return render(self.net, pixel, code, self.chunk).cpu()
+        """Indirect radiance (Algorithm 1, lines 4 to 9), at mirrors by secondary rays where they are on."""
+        values = self.predicted(gbuffer, code)
+        return self.mirrors.mended(values, gbuffer, code, lambda points: self.predicted(points, code))
+
+    def predicted(self, gbuffer: GBuffer, code: WaveletCode) -> Float[Tensor, "N 3"]:
+        """The network's own indirect radiance, on the CPU."""
+        return self.radiance(gbuffer, code).cpu()
+
+    @torch.no_grad()
+    def radiance(self, gbuffer: GBuffer, code: WaveletCode) -> Float[Tensor, "N 3"]:
+        """The same where the network is."""
+        return shade_as(self.form, self.net, gbuffer.to(self.device), code, self.folded, self.chunk)
+
+    def timed_parts(self, lighting: Float[Tensor, "6 R R 3"], gbuffer: GBuffer) -> dict[str, Any]:
+        """Secondary rays, and the network at all points, where such rays are on."""
+        code = self.light(lighting)
+        return self.mirrors.timed_parts(gbuffer, code, lambda points: self.predicted(points, code))
 
     # ---- storage
 
     def nbytes(self) -> int:
-        """Grid, W, U and f; sigma is needed for selection and is counted."""
+        """Grid or vertices, W, U and f; sigma is needed for selection and is counted.
+
+        The meshes are the scene's and are not counted.
+        """
         return sum(value.numel() * value.element_size() for value in self.net.state_dict().values())
 
     def save(self, path: Path) -> None:
@@ -197,6 +284,7 @@ class WaveletNeural:
                 "resolution": str(self.resolution),
                 "bounds": json.dumps(self.bounds),
                 "scale": json.dumps(self.grid_settings["scale"]),
+                "longest_edge": json.dumps(self.longest_edge),
             },
         )
 
@@ -206,9 +294,33 @@ class WaveletNeural:
         resolution, bounds = int(stored["resolution"]), json.loads(stored["bounds"])
         if "scale" in stored:  # models stored before finest_pixels have the configured one
             self.grid_settings["scale"] = json.loads(stored["scale"])
+        self.longest_edge = json.loads(stored.get("longest_edge", "null"))
+        if (self.longest_edge is None) != (self.features == "hashgrid"):
+            right = FEATURES[self.longest_edge is not None]
+            raise PrtError(f"the model has method.features={right}, not {self.features}; set it so")
         state = load_file(path)
-        self.build(bounds, resolution, state.pop("sigma"), device)
+        self.build(bounds, resolution, state.pop("sigma"), device, getattr(task, "scene", None))
+        mine, stored_rows = len(self.net.grid.table), len(state["grid.table"])
+        if mine != stored_rows:
+            raise PrtError(
+                f"the model has {stored_rows} rows of features, this scene {mine}; "
+                "set scene and method.grid to what the model was fitted to"
+            )
         self.net.load_state_dict(state)
+        self.mirrors.use(getattr(task, "scene", None))
+
+
+def check_vertices(settings: dict[str, Any]) -> None:
+    """Refuse settings of ``method.vertices`` out of range.
+
+    Raises:
+        PrtError: naming the setting, its value and what is allowed.
+    """
+    edge, most = settings.get("edge_pixels"), settings.get("most")
+    if isinstance(edge, bool) or not isinstance(edge, int | float) or not edge > 0:
+        raise PrtError(f"method.vertices.edge_pixels={edge!r} must be a number above 0; 2 is a good start")
+    if isinstance(most, bool) or not isinstance(most, int) or most < 1:
+        raise PrtError(f"method.vertices.most={most!r} must be a whole number of at least 1")
 
 
 def level_growth(grid: dict[str, Any], bounds: tuple[list[float], list[float]], width: float) -> float:

@@ -1,6 +1,7 @@
 """From lighting to image with the network of Raghavan 2023: Algorithm 1, as printed and fast.
 
-The readable form and the fast one agree to rounding; a test holds them equal.
+The readable form and the fast one agree to rounding; a test holds them equal. Where they can
+run, the fused kernels of :mod:`prt.methods.wavelet_fused` are faster still.
 """
 
 import dataclasses
@@ -9,6 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from prt.methods.wavelet_tiles import Packed
 from prt.nn.wavelet_transport import PixelInputs, WaveletTransport
 
 
@@ -21,13 +23,8 @@ class WaveletCode:
     folded: Float[Tensor, "M KH"]
     #: lighting coefficient times output scale, what multiplies the last hidden layer
     weight: Float[Tensor, "K 3"]
-
-
-def encode(
-    net: WaveletTransport, index: Int[Tensor, "K"], value: Float[Tensor, "K 3"], kind: torch.dtype
-) -> WaveletCode:
-    """The code of a lighting's kept coefficients; ``kind``: precision of the hidden layers."""
-    return WaveletCode(index, value, net.fold(index).to(kind), value * net.scale[index][:, None])
+    #: all weights in the layout of a fused kernel, where one is used
+    packed: Packed | None
 
 
 def shade_readable(

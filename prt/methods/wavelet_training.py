@@ -69,8 +69,9 @@ class WaveletTraining:
         self.points = PointSampler(settings["strategies"], data.importance, settings["pixels"])
         self.coefficients = haar.forward(lightings)
         self.precision = torch.bfloat16 if settings["precision"] == "bfloat16" else torch.float32
-        # on the CPU the corners of a point cost more than the look-up; on a GPU they cost memory only
-        self.places = net.grid.corners(data.gbuffer.position) if device == "cpu" else None
+        # on the CPU the corners of a point cost more than the look-up; on a GPU they may cost memory only
+        known = device == "cpu" or net.grid.keeps_places
+        self.places = net.grid.locate(data.gbuffer) if known else None
         power = self.coefficients.square().mean(dim=(0, 2)).sqrt()
         #: the share of the image that a wavelet is expected to carry, over lightings and places
         self.expected = power * sigma
@@ -135,7 +136,7 @@ class WaveletTraining:
         """
         chosen = self.points.draw(self.generator)
         weights = self.expected if self.settings["draw"] == "transport" else torch.ones_like(self.expected)
-        k = torch.multinomial(weights, self.settings["wavelets"], generator=self.generator)
+        k = torch.multinomial(weights, self.settings["wavelets"], True, generator=self.generator)
         recorded = haar.forward(self.data.transport.rows(chosen).dense())[:, k].to(self.device)
         error = (self.predict(chosen, k) - recorded) * self.prior_power[k].to(self.device)[:, None]
         error = error * self.slope[chosen].to(self.device)[:, None, None]
@@ -153,10 +154,13 @@ class WaveletTraining:
         count, total = self.settings["wavelets"], coefficients.shape[1]
         largest = round(count * self.settings["largest_share"])
         strength = coefficients.square().sum(dim=2) * self.rank.square()
-        mine = largest // len(coefficients) + 1
-        chosen = torch.unique(strength.topk(min(mine, total), dim=1).indices)[:largest]
+        best = strength.topk(min(largest, total), dim=1).indices
+        # the largest of every lighting before the second largest of any; each wavelet once
+        chosen = torch.tensor(list(dict.fromkeys(best.T.flatten().tolist()))[:largest], dtype=torch.long)
         weights = self.expected.clone() if self.settings["draw"] == "transport" else torch.ones(total)
         weights[chosen] = 0
+        if len(chosen) == count:
+            return chosen
         rest = torch.multinomial(weights, count - len(chosen), generator=self.generator)
         return torch.cat([chosen, rest])
 
@@ -171,7 +175,7 @@ class WaveletTraining:
 
     def predict(self, chosen: Int[Tensor, "P"], k: Int[Tensor, "K"]) -> Float[Tensor, "P K 3"]:
         """The network's coefficients of some training points."""
-        places = None if self.places is None else self.places.rows(chosen)
+        places = None if self.places is None else self.places.rows(chosen).to(self.device)
         pixel = self.net.inputs(self.data.gbuffer.rows(chosen).to(self.device), places)
         return self.net.coefficients(pixel, k.to(self.device), self.precision)
 

@@ -19,14 +19,21 @@ BLOCK = 4096
 
 
 class Corners(NamedTuple):
-    """Which rows of the table a point reads, and how much of each; depends on the position only."""
+    """Which rows of a table a point reads, and how much of each; depends on the position only.
 
-    indices: Int[Tensor, "N L 8"]
-    weights: Float[Tensor, "N L 8"]
+    Attributes:
+        indices, weights: L levels of C corners: 8 of a cell of a grid, 3 of a triangle.
+    """
+
+    indices: Int[Tensor, "N L C"]
+    weights: Float[Tensor, "N L C"]
 
     def rows(self, index: Tensor) -> "Corners":
         """The corners of some of the points."""
         return Corners(self.indices[index], self.weights[index])
+
+    def to(self, device: torch.device | str) -> "Corners":
+        return Corners(self.indices.to(device), self.weights.to(device))
 
 
 class HashGrid(torch.nn.Module):
@@ -48,6 +55,9 @@ class HashGrid(torch.nn.Module):
     Raises:
         PrtError: for a setting out of range or bounds without extent.
     """
+
+    #: whether training keeps the corners of all its points on a GPU too: large, and found again in no time
+    keeps_places = False
 
     def __init__(
         self,
@@ -112,6 +122,10 @@ class HashGrid(torch.nn.Module):
         """Features at world positions; differentiable in the table, not in the positions."""
         return self.lookup(self.corners(points))
 
+    def locate(self, gbuffer) -> Corners:
+        """:meth:`corners` of the points of a G-buffer."""
+        return self.corners(gbuffer.position)
+
     def cells(self, points: Float[Tensor, "N 3"]) -> tuple[Int[Tensor, "N L 3"], Float[Tensor, "N L 3"]]:
         """The cell of each point at each level and the place in it, from 0 to 1."""
         inside = torch.minimum(torch.maximum(points, self.low), self.high) - self.low
@@ -160,9 +174,7 @@ class HashGrid(torch.nn.Module):
 
     def lookup(self, corners: Corners) -> Float[Tensor, "N LF"]:
         """Features from precomputed corners (any rows of them); differentiable in the table."""
-        indices, weights = corners
-        bags = WeightedRows.apply(self.table, indices.reshape(-1, 8), weights.reshape(-1, 8))
-        return bags.reshape(len(indices), self.out_features)
+        return weighted_rows(self.table, corners)
 
     def forward_readable(self, points: Float[Tensor, "N 3"]) -> Float[Tensor, "N LF"]:
         """The same as :meth:`forward`, one level and one corner at a time."""
@@ -180,8 +192,15 @@ class HashGrid(torch.nn.Module):
         return torch.cat(out, 1)
 
 
+def weighted_rows(table: Float[Tensor, "T F"], places: Corners) -> Float[Tensor, "N LF"]:
+    """Weighted sums of the rows that points read, level after level; differentiable in the table."""
+    count, levels, corners = places.indices.shape
+    indices, weights = (part.reshape(-1, corners) for part in places)
+    return WeightedRows.apply(table, indices, weights).reshape(count, levels * table.shape[1])
+
+
 class WeightedRows(torch.autograd.Function):
-    """Weighted sums of eight table rows each.
+    """Weighted sums of a few table rows each.
 
     The forward pass is torch's fused ``embedding_bag``. Its own backward pass sorts all indices; scattering
     one feature at a time is about 30 times faster on the CPU and stays deterministic there.

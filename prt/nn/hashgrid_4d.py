@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from prt.errors import PrtError
-from prt.nn.hashgrid import INITIAL, PRIMES, HashGrid, WeightedRows
+from prt.nn.hashgrid import INITIAL, PRIMES, HashGrid, weighted_rows
 
 #: of the fourth coordinate; the first three are those of :data:`prt.nn.hashgrid.PRIMES`. Mueller 2022 gives
 #: primes for three dimensions, the authors' code this one for the next.
@@ -90,9 +90,7 @@ class HashGrid4d(torch.nn.Module):
 
     def forward(self, position: Float[Tensor, "N 3"], state: Float[Tensor, "S F"]) -> Float[Tensor, "N C"]:
         """Features at world positions in the state :meth:`at` was given; differentiable in the table."""
-        indices, weights = self.space.corners(position)
-        bags = WeightedRows.apply(state, indices.reshape(-1, 8), weights.reshape(-1, 8))
-        return bags.reshape(len(position), self.outputs)
+        return weighted_rows(state, self.space.corners(position))
 
 
 class _Cells(HashGrid):

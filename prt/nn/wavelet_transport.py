@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from prt.nn.direction_encodings import CubemapEncoding, DirectionEncoding
 from prt.nn.hashgrid import Corners, HashGrid
 from prt.nn.mlp import Mlp
+from prt.nn.vertex_features import VertexFeatures
 from prt.nn.wavelet_texture import WaveletTexture
 
 
@@ -40,7 +41,7 @@ class WaveletTransport(nn.Module):
     """T_k(x, wo) for every wavelet k of a cubemap.
 
     Args:
-        grid: the spatial factors S_m; its output size is M.
+        grid: the spatial factors S_m, in space or on vertices; its output size is M.
         texture: the wavelet factors W_m, 6 R R wavelets.
         directions: encoding of reflected direction, normal and roughness.
         width: neurons of each of the two hidden layers.
@@ -51,7 +52,7 @@ class WaveletTransport(nn.Module):
 
     def __init__(
         self,
-        grid: HashGrid,
+        grid: HashGrid | VertexFeatures,
         texture: WaveletTexture,
         directions: DirectionEncoding | CubemapEncoding,
         width: int,
@@ -73,8 +74,11 @@ class WaveletTransport(nn.Module):
         return self.grid.out_features
 
     def inputs(self, gbuffer, places: Corners | None = None) -> PixelInputs:
-        """The inputs of the pixels of a G-buffer; ``places``: their places in the grid, if known already."""
-        space = self.grid(gbuffer.position) if places is None else self.grid.lookup(places)
+        """The inputs of the pixels of a G-buffer; ``places``: what ``grid.locate`` says of them, if known."""
+        return self.joined(self.grid.lookup(self.grid.locate(gbuffer) if places is None else places), gbuffer)
+
+    def joined(self, space: Float[Tensor, "N M"], gbuffer) -> PixelInputs:
+        """The inputs of pixels whose features in space are known."""
         factor = self.directions.factor(gbuffer.wr)
         encoded = self.directions(gbuffer.wr, gbuffer.normal, gbuffer.roughness)
         features = torch.cat([encoded, gbuffer.diffuse, gbuffer.specular], dim=1)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from prt.errors import PrtError
 from prt.scene.gbuffer import GBuffer
@@ -114,7 +114,7 @@ def capture(mi_scene, view: View) -> GBuffer:
     count = int(hit.sum())
     if count == 0:
         return _empty(hit, view)
-    si = dr.gather(mi.SurfaceInteraction3f, si, mi.UInt32(hit.nonzero()[:, 0].numpy().astype(np.uint32)))
+    si = dr.gather(mi.SurfaceInteraction3f, si, row_numbers(hit.nonzero()[:, 0]))
     material = materials_of(si, count)
 
     position = rows_of(si.p, count)
@@ -138,10 +138,14 @@ def first_opaque_hit(mi_scene, ray):
 
     Thin glass stays a surface: the light it mirrors is part of what is seen.
     """
+    return looked_through(mi_scene, ray, mi_scene.ray_intersect(ray))
+
+
+def looked_through(mi_scene, ray, si):
+    """The same, given what the ray meets first."""
     import drjit as dr
 
     mi = mitsuba()
-    si = mi_scene.ray_intersect(ray)
     bsdfs = {id(bsdf): bsdf for shape in mi_scene.shapes() if (bsdf := shape.bsdf()) is not None}
     masks = [
         dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf))
@@ -170,8 +174,8 @@ def materials_of(si, count: int) -> Material:
     out = Material(dr.zeros(mi.Color3f, count), dr.zeros(mi.Color3f, count), dr.zeros(mi.Float, count),
                    dr.zeros(mi.Normal3f, count))  # fmt: skip
     for value in np.unique(ids):
-        where = np.flatnonzero(ids == value).astype(np.uint32)
-        index = mi.UInt32(where)
+        where = np.flatnonzero(ids == value)
+        index = row_numbers(torch.from_numpy(where))
         first = int(where[0])
         part = evaluate(pointers[first], dr.gather(mi.SurfaceInteraction3f, si, index), shapes[first].id())
         for name in ("diffuse", "specular", "roughness", "normal"):
@@ -179,11 +183,32 @@ def materials_of(si, count: int) -> Material:
     return out
 
 
+def row_numbers(index: Int[torch.Tensor, "N"]):
+    """Row numbers as ``mi.UInt32``.
+
+    Copied by torch, whose memory is aligned: kernels would otherwise come in two versions, by where numpy
+    happened to put an array.
+    """
+    return mitsuba().UInt32(index.cpu().to(torch.int32).clone())
+
+
+def vectors(kind: Any, rows: Float[torch.Tensor, "N 3"]):
+    """Rows as a Dr.Jit array of vectors, as ``mi.Point3f``; aligned as :func:`row_numbers`."""
+    columns = rows.detach().cpu().float().unbind(1)
+    return kind(*(mitsuba().Float(column.contiguous().clone()) for column in columns))
+
+
 def rows_of(values, count: int) -> Float[torch.Tensor, "N C"]:
     """A Dr.Jit array of N vectors (or scalars) as a torch tensor with one row each."""
-    array = np.array(values, dtype=np.float32)
-    array = array[None] if array.ndim == 1 else array
-    return torch.from_numpy(np.broadcast_to(array, (array.shape[0], count)).T.copy())
+    import drjit as dr
+
+    # column by column: a kernel that interleaves them would have N written into it, and be compiled for each
+    columns = list(values) if dr.depth_v(values) > 1 else [values]
+    dr.eval(columns)
+    out = torch.empty((count, len(columns)))
+    for number, column in enumerate(columns):
+        out[:, number] = torch.from_numpy(np.array(column, dtype=np.float32))
+    return out
 
 
 def facing(
@@ -192,9 +217,18 @@ def facing(
 ) -> tuple[Float[torch.Tensor, "N 3"], Float[torch.Tensor, "N 3"], Float[torch.Tensor, "N 3"]]:  # fmt: skip
     """The normal on the viewer's side, ``wo`` towards the viewer, and ``wr``, which is ``wo`` mirrored."""
     wo = torch.nn.functional.normalize(torch.tensor(view.origin, dtype=torch.float32) - position, dim=1)
+    normal, wr = mirrored(wo, shading, geometric)
+    return normal, wo, wr
+
+
+def mirrored(
+    wo: Float[torch.Tensor, "N 3"], shading: Float[torch.Tensor, "N 3"],
+    geometric: Float[torch.Tensor, "N 3"],
+) -> tuple[Float[torch.Tensor, "N 3"], Float[torch.Tensor, "N 3"]]:  # fmt: skip
+    """The normal on the side that ``wo`` points to, and ``wo`` mirrored about it."""
     normal = _towards_viewer(shading, geometric, wo)
     cosine = (normal * wo).sum(1, keepdim=True)
-    return normal, wo, torch.nn.functional.normalize(2 * cosine * normal - wo, dim=1)
+    return normal, torch.nn.functional.normalize(2 * cosine * normal - wo, dim=1)
 
 
 def _towards_viewer(shading, geometric, wo) -> Float[torch.Tensor, "N 3"]:

@@ -29,6 +29,7 @@ from prt.trace.transport import Transport
 #: raise when the content of a cache changes for equal settings
 TRANSPORT_VERSION = 1
 REFERENCE_VERSION = 1
+UNSEEN = "no training view of scene {!r} sees the scene; check scene.cameras"
 
 
 @dataclasses.dataclass
@@ -53,9 +54,14 @@ class Training:
     @property
     def pixel_size(self) -> float:
         """Median width of a training pixel at its point, across the line of sight, in world units."""
-        origins = torch.tensor([view.origin for view in self.views])[self.point_view]
-        widths = torch.tensor([2 * v.half_width / v.width for v in self.views])
-        return float(((self.gbuffer.position - origins).norm(dim=1) * widths[self.point_view]).median())
+        return median_width(self.gbuffer.position, self.point_view, self.views)
+
+
+def median_width(position: Float[Tensor, "N 3"], point_view: Int[Tensor, "N"], views: list[View]) -> float:
+    """Median width of a pixel at the point it shows, across the line of sight, in world units."""
+    origins = torch.tensor([view.origin for view in views])[point_view]
+    widths = torch.tensor([2 * view.half_width / view.width for view in views])
+    return float(((position - origins).norm(dim=1) * widths[point_view]).median())
 
 
 class RelightIndirect:
@@ -152,9 +158,7 @@ class RelightIndirect:
         )
         gbuffer, transport = GBuffer.concatenate(gbuffers), Transport.concatenate(transports)
         if len(gbuffer) == 0:
-            raise PrtError(
-                f"no training view of scene {self.scene.name!r} sees the scene; check scene.cameras"
-            )
+            raise PrtError(UNSEEN.format(self.scene.name))
         lit = transport.relight(self.prior()[None])[0]
         edges = [
             importance.high_frequency(g.image(part), g.hit)
@@ -166,6 +170,16 @@ class RelightIndirect:
             "view_variance": importance.view_variance(gbuffer.position, lit, point_view),
         }
         return Training(gbuffer, transport, point_view, views, weights)
+
+    @functools.cached_property
+    def pixel_size(self) -> float:
+        """That of :meth:`training`, known without recording transport: the views are only looked at."""
+        views = self.scene.views("train", self.train_view_count, self.train_size)
+        seen = [capture(self.mitsuba_scene, view).position for view in views]
+        if not sum(len(position) for position in seen):
+            raise PrtError(UNSEEN.format(self.scene.name))
+        owner = torch.repeat_interleave(torch.arange(len(views)), torch.tensor([len(p) for p in seen]))
+        return median_width(torch.cat(seen), owner, views)
 
     def recorded(self, view: View, spp: int, seed: int) -> tuple[GBuffer, Transport]:
         """G-buffer and transport of every pixel of a view, from the cache where it is there."""

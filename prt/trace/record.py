@@ -12,7 +12,7 @@ background, which ``hide_emitters`` removes from references too. Shadow rays sto
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from prt.errors import PrtError
@@ -133,19 +133,38 @@ def _record_pixels(
     place = mi.Point2f(mi.Float(pixel % width), mi.Float(pixel // width)) + rng.next_2d()
     place = place / mi.Point2f(mi.Float(width), mi.Float(height))
     ray, _ = sensor.sample_ray(mi.Float(0), mi.Float(0.5), place, mi.Point2f(0.5))
+    ends = follow(mi_scene, mi.Ray3f(ray), rng, paths, max_depth, resolution, sampler, thin)
+    return _compact(*ends, count, spp, resolution)
+
+
+def follow(
+    mi_scene, ray, rng, paths: int, max_depth: int, resolution: int, sampler: TexelSampler | None = None,
+    thin: float = 0.0,
+) -> tuple[Int[Tensor, "N S"], Float[Tensor, "N S 3"], UInt8[Tensor, "N S"]]:  # fmt: skip
+    """Where paths that begin with given rays leave the scene, and with what throughput.
+
+    Args:
+        ray: N = ``paths`` of them; ``rng``: a Mitsuba sampler seeded for as many.
+        sampler: of next-event directions (:func:`prior_sampler`); others as in :func:`record`.
+
+    Returns:
+        Texel, weight and bounces of the S samples of each path: with a sampler the next-event samples of its
+        surface hits in order, then in any case where it escaped. An :data:`EMPTY` texel marks no sample.
+    """
+    import drjit as dr
+
     slots = NextEventSlots(paths, max_depth, resolution, sampler, thin) if sampler else None
-    ends = trace(mi_scene, mi.Ray3f(ray), rng, max_depth, resolution, slots)
+    ends = trace(mi_scene, ray, rng, max_depth, resolution, slots)
     dr.eval(ends, slots.arrays if slots else None)
     texel, weight, bounces = (_torch(array)[:, None] for array in ends)
     bounces = bounces.to(torch.uint8)
     if slots:
-        # one row per path: the next-event samples of its vertices in order, then where it escaped
         near, near_weight = (_torch(array) for array in slots.arrays)
         texel = torch.cat([near.view(max_depth, paths).T, texel], dim=1)
         weight = torch.cat([near_weight.view(max_depth, paths, 3).transpose(0, 1), weight], dim=1)
         vertex = torch.arange(1, max_depth + 1).to(bounces.dtype)
         bounces = torch.cat([vertex.expand(paths, max_depth), bounces], dim=1)
-    return _compact(texel, weight, bounces, count, spp, resolution)
+    return texel, weight, bounces
 
 
 class NextEventSlots:

@@ -16,8 +16,8 @@ from torch import Tensor
 from prt.light.sh import sh_basis
 from prt.scene.frames import perpendicular
 from prt.scene.lightmap_points import OFFSET, TriangleMesh
+from prt.scene.mesh_places import triangle_scene
 from prt.scene.mitsuba_setup import mitsuba
-from prt.scene.shapes import MeshData, diffuse, to_mesh
 
 #: rays traced at a time; bounds the memory
 RAYS = 1 << 18
@@ -71,7 +71,7 @@ def trace_links(
         vertex gathers from others; its sum is the share of its directions that hit a front face.
     """
     many = len(mesh.position)
-    scene = _scene(mesh)
+    scene = triangle_scene(mesh)
     flat, origin = _face_normals(mesh), vertex_origins(mesh)
     shift = torch.rand((many, 1, 2), generator=torch.Generator().manual_seed(seed))
     direct = torch.zeros((many, order**2))
@@ -119,14 +119,6 @@ def hammersley(count: int, shift: Float[Tensor, "V 1 2"]) -> Float[Tensor, "V co
 
 
 # ---- geometry
-
-
-def _scene(mesh: TriangleMesh) -> Any:
-    """All triangles in one shape: its ``prim_index`` is the number of the triangle."""
-    position, face = mesh.position.cpu().numpy(), mesh.face.cpu().numpy()
-    data = MeshData(position, mesh.normal.cpu().numpy(), np.zeros((len(position), 2)), face)
-    mi_mesh = to_mesh("asset", data, diffuse((0.5, 0.5, 0.5)))
-    return mitsuba().load_dict({"type": "scene", "asset": mi_mesh}, optimize=False)
 
 
 def _face_normals(mesh: TriangleMesh) -> Float[Tensor, "F 3"]:

@@ -38,14 +38,11 @@ class Known:
         noise = torch.randn(coefficients.shape, generator=torch.Generator().manual_seed(5))
         self.predicted = torch.cat([coefficients[:, :8] / 2, coefficients[:, 8:16] * 2, noise[:, 16:]], 1)
 
-    def grid(self, position):
-        return position
+    def inputs(self, gbuffer):
+        return gbuffer.position
 
-    def features(self, gbuffer):
-        return None
-
-    def coefficients(self, space, features, k, precision):
-        return self.predicted[space][:, k]
+    def coefficients(self, pixel, k, precision):
+        return self.predicted[pixel][:, k]
 
 
 class Data:

@@ -74,6 +74,13 @@ def test_pixel_size_is_the_distance_between_neighbouring_pixels_that_face_the_ca
     assert neighbours <= flat.pixel_size < 1.1 * neighbours
 
 
+def test_pixel_size_is_known_without_recording(tiny_task, monkeypatch):
+    expected = tiny_task.training().pixel_size
+    monkeypatch.setattr(type(tiny_task), "training", None)
+    vars(tiny_task).pop("pixel_size", None)
+    assert tiny_task.pixel_size == expected
+
+
 def test_a_grid_sized_by_training_pixels_has_cells_of_that_width(tiny_task, maps):
     settings = ["method=wavelet_neural", "method.grid.finest_pixels=1.5", "method.training.steps=1"]
     method = build_group(compose([*tiny.TASK, *tiny.lights(maps), *settings]), "method")

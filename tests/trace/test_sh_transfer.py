@@ -261,7 +261,7 @@ def test_hits_are_told_by_triangle_and_weights():
     mesh = corner_scene()
     origin = torch.tensor([[0.3, 0.2, 0.1]]).repeat(200, 1)
     d = cosine_directions(torch.tensor([[-1.0, 0.0, 0.0]]), 200, torch.full((1, 1, 2), 0.3))[0]
-    escaped, triangle, weights = sh_transfer._intersect(sh_transfer._scene(mesh), origin, d)
+    escaped, triangle, weights = sh_transfer._intersect(sh_transfer.triangle_scene(mesh), origin, d)
     assert 5 < int(escaped.sum()) < 180 and bool((triangle[escaped] == -1).all())
     full = torch.cat([1 - weights.sum(1, keepdim=True), weights], 1)[~escaped]
     place = (mesh.position[mesh.face[triangle[~escaped]]] * full[..., None]).sum(1)

@@ -1,0 +1,213 @@
+"""Where wavelet-neural relighting fails (Raghavan 2023, section 6.5), measured one thing at a time.
+
+Called by ``prt table raghavan2023/stability``, ``flicker`` and the like; Neural PRT is measured beside it.
+"""
+
+import dataclasses
+import statistics
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from skimage.color import rgb2lab
+from torch import Tensor
+
+from prt.errors import PrtError
+from prt.light import haar
+from prt.light.cubemap import rotate, yaw
+from prt.light.steady import SteadySelection
+from prt.light.unlike import unlike
+from prt.methods.base import Method
+from prt.methods.wavelet_neural import WaveletNeural
+from prt.metrics.registry import evaluate
+from prt.metrics.tonemap import exposure_of, to_srgb
+from prt.progress import track
+from prt.scene.view import View
+from prt.trace.transport import Transport
+
+#: seed of the record that the truth of a moving light is read from: one, so that its noise stands still
+FLICKER_SEED = 77_000
+#: settings of :class:`SteadySelection` by name
+STEADY = {"hysteresis": {"fade": 1}, "fading": {"leave": 1.0}, "hysteresis_and_fading": {}}
+
+
+def row(metric: str, value: float, variant: str, n: int) -> dict[str, Any]:
+    """A row of ``results.csv``; all is of indirect light."""
+    place = {"device": "", "variant": variant, "component": "indirect"}
+    return {**place, "metric": metric, "value": float(value), "lo": None, "hi": None, "n": n}
+
+
+# ---- a light that moves
+
+
+def flicker(
+    task: Any, model: WaveletNeural, degrees: float, frames: int, views: int, wavelets: list[int], spp: int
+) -> list[dict[str, Any]]:
+    """Change from frame to frame beyond the truth's own, while an environment turns.
+
+    ``flicker/relative``: root mean square of ``(B_t+1 - B_t) - (R_t+1 - R_t)`` over that of R, for the
+    method's images B; ``flicker/truncation``: for the truth R under the lighting that the selection keeps:
+    what a perfect network would show. R is relit from one record of transport, whose noise stands still. A
+    frame costs K evaluations with every selection.
+
+    Args:
+        degrees: turned about the vertical axis a frame.
+        wavelets: the numbers K that are kept.
+        spp: recorded paths a pixel of the truth.
+    """
+    names, lightings = task.lighting.test()
+    rows = []
+    shown = task.scene.views("far", views, task.train_size, train_count=task.train_view_count)
+    found: dict[tuple[str, int], list[tuple[float, float]]] = {}
+    for number, view in enumerate(track(shown, "flicker", len(shown))):
+        gbuffer, whole = task.recorded(view, spp, FLICKER_SEED)
+        transport = whole.component("indirect").rows(gbuffer.hit.nonzero()[:, 0])
+        lighting = lightings[number % len(names)]
+        turning = [rotate(lighting, yaw(degrees * frame)) for frame in range(frames)]
+        truth = transport.relight(torch.stack(turning).flatten(1, 3))
+        scale = float(truth.square().mean().sqrt())
+        for count in wavelets:
+            for name in (*haar.SELECTIONS, *STEADY):
+                images, kept = moving(model, gbuffer, transport, turning, name, count)
+                parts = tuple(
+                    float((other.diff(dim=0) - truth.diff(dim=0)).square().mean().sqrt()) / scale
+                    for other in (images, kept)
+                )
+                found.setdefault((name, count), []).append(parts)
+    for (name, count), parts in found.items():
+        variant = f"selection={name},wavelets={count}"
+        for metric, values in zip(("relative", "truncation"), zip(*parts, strict=True), strict=True):
+            rows.append(row(f"flicker/{metric}", statistics.fmean(values), variant, len(values)))
+    return rows
+
+
+def moving(
+    model: WaveletNeural, gbuffer: Any, transport: Transport, turning: list[Tensor], name: str, count: int
+) -> tuple[Float[Tensor, "T N 3"], Float[Tensor, "T N 3"]]:
+    """The frames of the method, and those of recorded transport under the lighting that is kept.
+
+    Args:
+        name: a selection, or a way to go on from the frame before with the model's own.
+    """
+    before = model.wavelets, model.selection
+    model.wavelets, model.selection = count, name if name in haar.SELECTIONS else before[1]
+    steady = SteadySelection(count, **STEADY[name]) if name in STEADY else None
+    images, kept = [], []
+    for lighting in turning:
+        code = model.light(lighting, steady)
+        images.append(model.shade(gbuffer, code))
+        values = torch.zeros((lighting.shape[0] * lighting.shape[1] ** 2, 3))
+        values[code.index.cpu()] = code.value.cpu()
+        kept.append(haar.inverse(values) / model.measure.cpu())
+    model.wavelets, model.selection = before
+    return torch.stack(images), transport.relight(torch.stack(kept))
+
+
+# ---- lights unlike training
+
+
+def unlike_lights(
+    task: Any, model: Method, name: str, kinds: list[str], views: int, folder: Path
+) -> list[dict[str, Any]]:
+    """Error under lightings of kinds that training had none of (figure 4: a red environment).
+
+    ``psnr``, ``chroma/shift`` (how far the mean hue moves: a tone shift) and ``error/relative`` (root mean
+    square error over the root mean square of the reference). Black gives no reference to divide by: its row
+    is the largest radiance, ``error/black``, which has to be 0.
+
+    Writes ``lights_<scene>_<name>.png``: reference and prediction of the first view under every kind.
+
+    Args:
+        model: any fitted method of the task; ``name``: its own.
+        kinds: of :func:`prt.light.unlike.unlike`.
+    """
+    names, lightings = task.lighting.test()
+    shown = task.scene.views("far", views, task.test_size, train_count=task.train_view_count)
+    rows, pictures = [], []
+    for kind in track(kinds, "lights unlike training", len(kinds)):
+        found: dict[str, list[float]] = {"psnr": [], "chroma/shift": [], "error/relative": []}
+        for number, view in enumerate(shown):
+            lighting = unlike(lightings[number % len(names)], kind)
+            title = f"{names[number % len(names)]} {kind}"
+            item = task.test_item("unlike", f"far{number:02d}", view, title, lighting)
+            reference = item.references["indirect"]
+            image = item.gbuffer.image(model.shade(item.gbuffer, model.light(lighting)))
+            if kind == "black":
+                rows.append(row("error/black", float(image.abs().max()), f"lighting={kind}", 1))
+                break
+            found["psnr"].append(evaluate(image, reference, ["psnr"])["psnr"])
+            found["chroma/shift"].append(chroma_shift(image, reference))
+            found["error/relative"].append(float((image - reference).norm() / reference.norm()))
+            if number == 0:
+                pictures.append((kind, reference, image))
+        if kind != "black":
+            rows += [row(m, statistics.fmean(v), f"lighting={kind}", len(v)) for m, v in found.items()]
+    draw_lights(pictures, name, folder / f"lights_{task.scene.name}_{name}.png")
+    return rows
+
+
+def chroma_shift(image: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> float:
+    """Distance of the mean CIE a*, b* of an image from that of its reference, in its exposure."""
+    exposure = exposure_of(reference.numpy())
+    a, b = (rgb2lab(to_srgb(part.numpy(), exposure))[..., 1:].mean((0, 1)) for part in (image, reference))
+    return float(np.linalg.norm(a - b))
+
+
+def draw_lights(pictures: list[tuple[str, Tensor, Tensor]], name: str, path: Path) -> None:
+    """A column a lighting: the reference above the prediction, both in the reference's exposure."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(1.9 * len(pictures), 4.1), layout="constrained")
+    axes = figure.subplots(2, len(pictures), squeeze=False)
+    for column, (kind, reference, image) in enumerate(pictures):
+        exposure = exposure_of(reference.numpy())
+        for line, (title, part) in enumerate((("reference", reference), (name, image))):
+            axes[line][column].imshow(to_srgb(np.nan_to_num(part.numpy()), exposure), interpolation="nearest")
+            axes[line][column].set(xticks=[], yticks=[])
+            if column == 0:
+                axes[line][column].set_ylabel(title.replace("_", " "), fontsize=8)
+        axes[0][column].set_title(kind, fontsize=8)
+    figure.savefig(path, dpi=150, metadata={"Software": None})
+
+
+# ---- views
+
+
+def views_outside(task: Any, model: Method, distances: list[float], views: int) -> list[dict[str, Any]]:
+    """Error with the cameras of the far views moved in or out: ``distance`` times as far from their target.
+
+    Training cameras stand at distance 1. A camera that no longer sees the scene, or stands in a wall, is
+    left out; where none is left the row is missing.
+    """
+    names, lightings = task.lighting.test()
+    shown = task.scene.views("far", views, task.test_size, train_count=task.train_view_count)
+    rows = []
+    for distance in track(distances, "views outside", len(distances)):
+        values = []
+        for number, view in enumerate(shown):
+            moved, which = at_distance(view, distance), number % len(names)
+            item = task.test_item(
+                "outside", f"{distance:g}_{number:02d}", moved, names[which], lightings[which]
+            )
+            reference = item.references["indirect"]
+            if len(item.gbuffer) == 0 or not reference.any():
+                continue
+            image = item.gbuffer.image(model.shade(item.gbuffer, model.light(item.lighting)))
+            values.append(evaluate(image, reference, ["psnr"])["psnr"])
+        if values:
+            rows.append(row("psnr", statistics.fmean(values), f"distance={distance:g}", len(values)))
+    return rows
+
+
+def at_distance(view: View, factor: float) -> View:
+    """The view from ``factor`` times as far from its target.
+
+    Raises:
+        PrtError: for a factor that is not positive.
+    """
+    if not factor > 0:
+        raise PrtError(f"benchmark.distances={factor} must be positive")
+    origin = tuple(t + factor * (o - t) for o, t in zip(view.origin, view.target, strict=True))
+    return dataclasses.replace(view, origin=origin)

@@ -1,0 +1,92 @@
+"""Benchmarks of wavelet-neural on the real task at a tiny size: what they report, and in which direction."""
+
+import pytest
+import tiny
+import torch
+
+from prt.bench.build import build
+from prt.bench.compose import compose
+from prt.errors import PrtError
+from prt.methods import figures_wavelet, stability_wavelet
+from prt.metrics.diagnostics import diagnostic_of
+
+
+@pytest.fixture(scope="module")
+def model(tiny_task, maps):
+    settings = ["method=wavelet_neural", "method.training.steps=60", "method.wavelets=8"]
+    method = build(compose([*tiny.TASK, *tiny.lights(maps), *settings]), "method")
+    method.fit(tiny_task, tiny.Log(), 0, "cpu")
+    return method
+
+
+def values(rows, metric):
+    return {row["variant"]: row["value"] for row in rows if row["metric"] == metric}
+
+
+def test_flicker_of_every_selection(tiny_task, model, own_cache):
+    rows = stability_wavelet.flicker(tiny_task, model, 2.0, 6, 1, [8, 6 * tiny.RESOLUTION**2], 16)
+    found, truth = values(rows, "flicker/relative"), values(rows, "flicker/truncation")
+    assert len(found) == 2 * 6 == len(truth)
+    everything = f"wavelets={6 * tiny.RESOLUTION**2}"
+    # nothing is cut away: the truth under the kept light is the truth
+    assert truth[f"selection=magnitude,{everything}"] < 1e-4 < truth["selection=magnitude,wavelets=8"]
+    assert (model.wavelets, model.selection) == (8, "transport"), "the model was left changed"
+    assert all(diagnostic_of(row["metric"]) for row in rows)
+
+
+def test_a_light_that_stands_still_flickers_with_no_selection(tiny_task, model, own_cache):
+    rows = stability_wavelet.flicker(tiny_task, model, 0.0, 4, 1, [8], 16)
+    assert max(row["value"] for row in rows) < 1e-6
+
+
+def test_lights_unlike_training(tiny_task, model, own_cache, tmp_path):
+    rows = stability_wavelet.unlike_lights(
+        tiny_task, model, "wavelet_neural", ["same", "red", "bright", "black"], 1, tmp_path
+    )
+    error = values(rows, "error/relative")
+    # linear in the lighting: a thousand times the light is a thousand times the image
+    assert error["lighting=bright"] == pytest.approx(error["lighting=same"], rel=1e-3)
+    assert values(rows, "error/black") == {"lighting=black": 0.0}
+    assert set(values(rows, "chroma/shift")) == {"lighting=same", "lighting=red", "lighting=bright"}
+    assert (tmp_path / "lights_cornell_glossy_wavelet_neural.png").stat().st_size > 1000
+
+
+def test_chroma_shift_is_that_of_colour_alone():
+    image = torch.rand((8, 8, 3), generator=torch.Generator().manual_seed(0)) * 0.5 + 0.2
+    assert stability_wavelet.chroma_shift(image, image) == 0
+    redder = image * torch.tensor([1.3, 1.0, 1.0])
+    assert stability_wavelet.chroma_shift(redder, image) > 3
+
+
+def test_views_nearer_and_farther(tiny_task, model, own_cache):
+    rows = stability_wavelet.views_outside(tiny_task, model, [1.0, 1.3], 1)
+    assert set(values(rows, "psnr")) == {"distance=1", "distance=1.3"}
+    with pytest.raises(PrtError, match="distances=0"):
+        stability_wavelet.views_outside(tiny_task, model, [0.0], 1)
+
+
+def test_points_fall_where_their_strategy_says(tiny_task, tmp_path):
+    rows = figures_wavelet.training_points(tiny_task, tmp_path, view=0, draws=20_000, smooth=0.35)
+    found = values(rows, "points/smooth")
+    smooth = (tiny_task.training().gbuffer.roughness[:, 0] < 0.35).float().mean()
+    assert found["strategy=uniform"] == pytest.approx(float(smooth), abs=0.02)
+    assert found["strategy=specular"] > 1.5 * found["strategy=uniform"]
+    assert (tmp_path / "points.png").stat().st_size > 1000
+
+
+def test_spectrum_is_a_share_that_grows(tiny_task, model, own_cache, tmp_path):
+    rows = figures_wavelet.transport_spectrum(tiny_task, model, tmp_path, size=8, spp=16, largest=64)
+    for name in ("recorded", "predicted"):
+        shares = [row["value"] for row in rows if f"transport={name}," in row["variant"]]
+        assert len(shares) == 7 and shares[-1] == pytest.approx(1.0)
+        assert shares[0] > 1 / 64
+    assert (tmp_path / "histogram_cornell_glossy.png").stat().st_size > 1000
+
+
+def test_noise_is_not_counted_as_energy():
+    """Of pure noise, the largest coefficients of one record say nothing about another."""
+    generator = torch.Generator().manual_seed(0)
+    first, second = torch.randn((2, 200, 384), generator=generator)
+    own = figures_wavelet.in_order(first, first, 64).mean()
+    other = figures_wavelet.in_order(first, second, 64).mean()
+    assert own > 2 and abs(other) < 0.1
