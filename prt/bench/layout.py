@@ -19,7 +19,7 @@ FAILED, MISSING, UNAVAILABLE = "failed", "–", "n/a"
 SPLIT_NAMES = {
     "near": "near views", "far": "far views", "diffuse": "diffuse", "glossy": "glossy",
     "inside": "random states", "corners": "corners", "outside": "states outside", "given": "given states",
-    "points": "point lights", "spots": "spot lights", "path": "a moving light",
+    "points": "point lights", "spots": "spot lights", "path": "along a path",
 }  # fmt: skip
 PUBLISHED_TITLE = "Published (the paper's own scenes, renderer and GPU; not comparable in absolute terms)"
 

@@ -34,6 +34,8 @@ class CornellAnimated(Scene):
             What stands still does so half way.
         ball: what the ball is made of: diffuse, glossy, mirror or glass.
         albedo: of walls and box, in [0, 0.99].
+        meeting: the ball's way leads into the box instead of past it: where two things touch, light between
+            them comes and goes within a cell of any grid.
         others: as in :class:`Scene`.
 
     Raises:
@@ -51,12 +53,13 @@ class CornellAnimated(Scene):
         variables: int = 2,
         ball: str = "diffuse",
         albedo: float = 0.72,
+        meeting: bool = False,
     ):
         super().__init__(name, cameras, max_depth, record)
         if ball not in BALLS:
             raise PrtError(f"scene.ball={ball!r} is not one of {', '.join(BALLS)}")
         self.ball, self.albedo = ball, unit_setting("albedo", albedo, 0.0, 0.99)
-        self.animation = animation().subset(variables, 0.5)
+        self.animation = animation(bool(meeting)).subset(variables, 0.5)
 
     def fingerprint(self) -> dict[str, Any]:
         return {
@@ -85,9 +88,10 @@ class CornellAnimated(Scene):
         }  # fmt: skip
 
 
-def animation() -> Animation:
-    """All three variables."""
-    travel = [b - a for a, b in zip(BALL_START, BALL_END, strict=True)]
+def animation(meeting: bool = False) -> Animation:
+    """All three variables; ``meeting``: the ball ends in the middle of the box."""
+    end = (BOX_AT[0], BALL_END[1], BOX_AT[1]) if meeting else BALL_END
+    travel = [b - a for a, b in zip(BALL_START, end, strict=True)]
     centre = [BOX_AT[0], 0.0, BOX_AT[1]]
     return read_animation({
         "variables": [

@@ -316,3 +316,15 @@ def test_the_papers_environment_stands_at_the_angles_of_its_file(stages):
         found = np.array(stage.params[stage._environment].matrix).reshape(4, 4)
         expected = np.array(mi.ScalarTransform4f().rotate([0, 1, 0], degrees).matrix).reshape(4, 4)
         np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_a_ball_that_meets_the_box_touches_it_on_its_way():
+    """At 0.448 of its way the ball's surface lies on the front face of the box, which has not turned."""
+    from prt.scene import cornell_animated as room
+
+    moved = room.animation(meeting=True).transforms([0.0, 0.448, 0.0])["ball"]
+    z = room.BALL_START[2] + float(moved[2][3])
+    face = room.BOX_AT[1] + room.BOX_SIDES[1] / 2
+    assert z - room.BALL_RADIUS == pytest.approx(face, abs=2e-3)
+    end = room.animation(meeting=True).transforms([0.0, 1.0, 0.0])["ball"]
+    assert room.BALL_START[0] + float(end[0][3]) == pytest.approx(room.BOX_AT[0], abs=1e-6)
