@@ -1,18 +1,20 @@
 """A cache of files keyed by exactly the settings that determine their content.
 
 Written to a temporary name, checksummed, renamed: a reader never sees half a file and two processes may
-share one cache. A damaged file is detected by its checksum, named in a warning, and rebuilt.
+share one cache; what both want is built by one of them. A damaged file is detected by its checksum, named in
+a warning, and rebuilt.
 """
 
 import contextlib
 import hashlib
 import json
 import os
+import sys
 import uuid
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import torch
 from safetensors.torch import load, save
@@ -20,6 +22,11 @@ from torch import Tensor
 
 from prt.errors import PrtError
 from prt.paths import cache_folder
+
+try:
+    import fcntl
+except ImportError:  # no flock on this system: two processes may build the same
+    fcntl = None
 
 Tensors = dict[str, Tensor]
 
@@ -51,12 +58,61 @@ def cached(kind: str, version: int, settings: dict[str, Any], build: Callable[[]
     probe = path.with_name(f"{path.name}.{uuid.uuid4().hex}.probe")
     write_atomically(probe, b"")
     probe.unlink(missing_ok=True)
-    # clone: safetensors refuses tensors that share memory, and a file of a slice should hold only the slice
-    tensors = {
-        name: value.detach().clone(memory_format=torch.contiguous_format) for name, value in build().items()
-    }
-    write_checked(path, tensors)
+    with alone(path):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of damage, which has been said
+            found = read_checked(path)
+        if found is not None:  # another process has built it in the meantime
+            return found
+        # clone: safetensors refuses tensors that share memory, and a slice's file should hold only the slice
+        tensors = {
+            name: value.detach().clone(memory_format=torch.contiguous_format)
+            for name, value in build().items()
+        }
+        write_checked(path, tensors)
     return tensors
+
+
+@contextlib.contextmanager
+def alone(path: Path) -> Iterator[None]:
+    """Let one process at a time build what ``path`` will hold: runs of one scene begin together in a sweep.
+
+    The system drops the lock of a process that died. Where locks do not work, none is taken.
+    """
+    lock = path.with_name(f"{path.name}.lock")
+    file = wait_for(lock)
+    try:
+        yield
+    finally:
+        if file is not None:
+            lock.unlink(missing_ok=True)
+            file.close()
+
+
+def wait_for(lock: Path) -> TextIO | None:
+    """The lock file, opened and locked; None where the file system knows no locks."""
+    if fcntl is None:
+        return None
+    while True:
+        file = lock.open("a")
+        try:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                print(f"another process is making {lock.with_suffix('')}; waiting for it", file=sys.stderr)
+                fcntl.flock(file, fcntl.LOCK_EX)
+            # whoever held it has removed the file: ours would guard nothing
+            if os.fstat(file.fileno()).st_ino == lock.stat().st_ino:
+                return file
+        except FileNotFoundError:  # removed just now
+            pass
+        except OSError:
+            file.close()
+            return None
+        except BaseException:
+            file.close()
+            raise
+        file.close()
 
 
 def read_checked(path: Path) -> Tensors | None:

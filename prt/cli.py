@@ -20,17 +20,23 @@ EXAMPLES = {
         prt run scene=cornell_glossy method=wavelet_neural             one method on one scene
         prt run -m scene=cornell_glossy,kitchen seed=0,1,2             a sweep
         prt table quickstart                                           run what is missing, write the report
+        prt report                                                     all reports in one HTML file
         prt status                                                     what is done, failed, stopped""",
     "run": """
         prt run scene=cornell_glossy method=wavelet_neural method.wavelets=32 budget=laptop
         prt run -m scene=cornell_glossy,four_shapes seed=0,1,2         every combination, one after the other
-        prt run -m hydra/launcher=ray scene=cornell_glossy,kitchen     on any Hydra launcher
+        prt run -m launcher=ray scene=cornell_glossy,kitchen           several at a time; also local, slurm
         prt run --conf-dir mine method=my_method                       names a class of your own
         prt run --show scene=kitchen                                   settings and run folder only""",
     "table": """
         prt table quickstart
         prt table raghavan2023/table1 budget=laptop
-        prt table raghavan2023/table1 --dry-run                  the runs of the grid and their states""",
+        prt table raghavan2023/table1 --dry-run                  the runs of the grid and their states
+        prt table raghavan2023/table1 launcher=slurm launcher.partition=gpu launcher.gpus=1""",
+    "report": """
+        prt report                                               all of reports/ in one file, report.html
+        prt report raghavan2023 quickstart                       some papers or tables
+        prt report raghavan2023/table1 --output table1.html""",
     "status": """
         prt status
         prt status --folder runs/relight_indirect/kitchen""",
@@ -42,6 +48,7 @@ EXAMPLES = {
 ABOUT = {
     "run": "Run a method on a scene, or a sweep (-m). Finished runs are skipped, interrupted ones resume.",
     "table": "Regenerate a table or figure of experiments/: run what is missing, then write reports/<name>/.",
+    "report": "Make one HTML file of reports/: tables, claims, charts and pictures, to open from disk.",
     "status": "List runs by state, read from their folders.",
     "score": "Recompute metrics from the stored images, without fitting anything.",
     "doctor": "Show what works on this machine, what is missing, and how to get it.",
@@ -84,7 +91,7 @@ def parser() -> Parser:
                 "-m",
                 "--multirun",
                 action="store_true",
-                help="sweep over comma-separated values with any Hydra launcher",
+                help="sweep over comma-separated values, on any launcher",
             )
             sub.add_argument("--show", action="store_true", help="print the settings, run nothing")
         if name == "table":
@@ -95,6 +102,11 @@ def parser() -> Parser:
         if name in ("run", "table"):
             sub.add_argument(
                 "overrides", nargs="*", metavar="key=value", help="choices and settings, see below"
+            )
+        if name == "report":
+            sub.add_argument("names", nargs="*", metavar="name", help="tables or papers (default: all)")
+            sub.add_argument(
+                "--output", default="report.html", type=Path, metavar="FILE", help="default: report.html"
             )
         if name == "status":
             sub.add_argument("--folder", default="runs", type=Path, help="where to look (default: runs)")
@@ -119,7 +131,7 @@ def groups_help() -> str:
     from prt.bench.compose import GROUPS, choices
 
     lines = ["", "", "groups and their choices:"]
-    for group in GROUPS:
+    for group in (*GROUPS, "launcher"):
         text = ", ".join(choices(group)) or "(none yet)"
         lines.append(
             textwrap.fill(text, 100, initial_indent=f"  {group + '=':<10}", subsequent_indent=" " * 12)
@@ -192,11 +204,12 @@ def add_conf_dirs(folders: Sequence[str]) -> None:
 
 
 def run_command(options: argparse.Namespace) -> int:
-    from prt.bench import compose, run, sweep
+    from prt.bench import compose, launchers, run, sweep
 
     add_conf_dirs(options.conf_dir)
     if options.multirun:
         return sweep.sweep(options.overrides)
+    launchers.refuse(options.overrides)
     cfg = compose.compose(options.overrides)
     if options.show:
         from omegaconf import OmegaConf
@@ -214,6 +227,12 @@ def table_command(options: argparse.Namespace) -> int:
 
     add_conf_dirs(options.conf_dir)
     return table.main(options.name, options.overrides, options.dry_run) or 0
+
+
+def report_command(options: argparse.Namespace) -> int:
+    from prt.bench.html import page
+
+    return page.main(options.names, options.output)
 
 
 def status_command(options: argparse.Namespace) -> int:
@@ -235,8 +254,8 @@ def doctor_command(options: argparse.Namespace) -> int:
 
 
 COMMANDS = {
-    "run": run_command, "table": table_command, "status": status_command, "score": score_command,
-    "doctor": doctor_command,
+    "run": run_command, "table": table_command, "report": report_command, "status": status_command,
+    "score": score_command, "doctor": doctor_command,
 }  # fmt: skip
 
 if __name__ == "__main__":

@@ -175,3 +175,37 @@ def test_two_processes_share_one_cache(folder):
         _, errors = worker.communicate(timeout=120)
         assert worker.returncode == 0, errors
     assert not [path for path in (folder / "shared").iterdir() if path.suffix != ".safetensors"]
+
+
+# Builds slowly, and leaves a file for every time that it does.
+BUILDER = """
+import os, time
+import torch
+from prt.cache import cached, cache_folder
+def build():
+    time.sleep(1.0)
+    cache_folder().joinpath(f"built_by_{os.getpid()}").touch()
+    return {"x": torch.ones(3)}
+assert cached("slow", 1, {}, build)["x"].sum() == 3
+"""
+
+
+def test_what_several_processes_want_is_built_once(folder):
+    workers = [
+        subprocess.Popen([sys.executable, "-c", BUILDER], stderr=subprocess.PIPE, text=True) for _ in range(3)
+    ]
+    for worker in workers:
+        _, errors = worker.communicate(timeout=120)
+        assert worker.returncode == 0, errors
+    assert len(list(folder.glob("built_by_*"))) == 1
+    assert [path.suffix for path in (folder / "slow").iterdir()] == [".safetensors"]
+
+
+def test_a_builder_that_was_killed_holds_up_nobody(folder):
+    code = BUILDER.replace("time.sleep(1.0)", "print('building', flush=True); time.sleep(60)")
+    victim = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert victim.stdout.readline() == "building\n"
+    victim.kill()
+    victim.wait()
+    assert cached("slow", 1, {}, lambda: {"x": torch.ones(3)})["x"].sum() == 3
+    assert [path.suffix for path in (folder / "slow").iterdir()] == [".safetensors"]

@@ -9,10 +9,11 @@ The YAML names a function instead of methods; the rest of it means what it means
     claims: ["record > 0.7 on ratio/paths/full, every scene"]
 
 The function is called once per scene, as ``function(scene=..., lighting=..., **settings)``, and returns
-rows with ``method, device, variant, component, metric, value, lo, hi, n``. It gets what its parameters
+rows with ``device, variant, component, metric, value, lo, hi, n``, and ``method`` where it is not the chosen
+one. It gets what its parameters
 name: ``scene``, ``lighting``, ``task`` (built from both), ``method`` (the settings of the chosen method, a
-dict), ``model`` (that method fitted; its fit is kept and resumed as that of a run), and ``folder`` (a Path),
-the report folder, where it may write PNG pictures that the YAML names::
+dict), ``name`` (that method's), ``model`` (it fitted; the fit is kept and resumed as that of a run), and
+``folder`` (a Path), the report folder, where it may write PNG pictures that the YAML names::
 
     pictures: [{file: basis.png, caption: The first eight vectors}]
 
@@ -96,6 +97,7 @@ def measure(spec: "Spec", cfg: DictConfig, variant: str) -> list[dict[str, Any]]
         "lighting": lambda: build(cfg, "lighting"),
         "folder": lambda: spec.report,
         "task": task,
+        "name": lambda: cfg.choice.method,
         "model": lambda: fitted(cfg, task()),
         "method": lambda: {key: value for key, value in settings.items() if key != "_target_"},
     }
@@ -104,7 +106,13 @@ def measure(spec: "Spec", cfg: DictConfig, variant: str) -> list[dict[str, Any]]
         del makers["method"]
     objects = {name: make() for name, make in makers.items() if name in wanted}
     rows = build(named, "benchmark", **objects)
-    place = {"scene": cfg.choice.scene, "budget": str(cfg.budget.name), "split": "", "seeds": 1}
+    place = {
+        "scene": cfg.choice.scene,
+        "method": cfg.choice.method,
+        "budget": str(cfg.budget.name),
+        "split": "",
+        "seeds": 1,
+    }
     return [{**place, **row, "variant": join_variant(row["variant"], variant)} for row in rows]
 
 

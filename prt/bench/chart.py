@@ -12,11 +12,11 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.axis import XAxis, YAxis
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from prt.bench.hover import HoverFigure, says
 from prt.bench.layout import Layout, metric_name, split_name
-from prt.bench.results import direction_of, is_cost, join_variant, measured_once, variant_tokens
+from prt.bench.results import DENOISED, direction_of, is_cost, join_variant, measured_once, variant_tokens
 from prt.errors import PrtError
 from prt.metrics.diagnostics import diagnostic_of
 from prt.metrics.registry import METRICS
@@ -157,7 +157,7 @@ def pareto(found: list[Point], x_better: str, y_better: str) -> list[Point]:
     return front
 
 
-def draw(results: pd.DataFrame, layout: Layout, settings: dict, note: str = "") -> Figure | None:
+def draw(results: pd.DataFrame, layout: Layout, settings: dict, note: str = "") -> HoverFigure | None:
     """The chart, or None where no method has both figures.
 
     Args:
@@ -177,10 +177,13 @@ def draw(results: pd.DataFrame, layout: Layout, settings: dict, note: str = "") 
     methods = list(dict.fromkeys(method for method, _ in layout.methods))
     looks = {m: (COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]) for i, m in enumerate(methods)}
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(2.9 * columns + 2.1, 2.5 * rows + 0.75), layout="constrained")
+        figure = HoverFigure(figsize=(2.9 * columns + 2.1, 2.5 * rows + 0.75), layout="constrained")
         axes = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
         for axis, scene in zip(axes, scenes, strict=False):
-            _panel(axis, [p for p in found if p.scene == scene], looks, x, y)
+            here = [p for p in found if p.scene == scene]
+            _panel(axis, here, looks, x, y)
+            for p in here:
+                figure.point(axis, p.x * x.scale, p.y * y.scale, _title(p, layout, x, y))
             axis.set_title(layout.label(scene), loc="left", fontsize=9, fontweight="bold", color="#222222")
         for axis in axes[len(scenes) :]:
             axis.set_visible(False)
@@ -204,19 +207,22 @@ def draw(results: pd.DataFrame, layout: Layout, settings: dict, note: str = "") 
     return figure
 
 
+def _title(p: Point, layout: Layout, x: Axis, y: Axis) -> str:
+    """What a point says of itself."""
+    name = layout.method_label(p.method, join_variant(p.variant, DENOISED if p.denoised else ""))
+    across = [v * x.scale for v in (p.x, math.nan, p.x_hi if is_cost(x.metric) else math.nan)]
+    return says(
+        f"{name}, {layout.label(p.scene)}",
+        [(y.label, *(v * y.scale for v in (p.y, p.y_lo, p.y_hi))), (x.label, *across)],
+    )
+
+
 def _panel(axis: Axes, found: list[Point], looks: dict, x: Axis, y: Axis) -> None:
     by, up, better = x.scale, y.scale, (direction_of(x.metric), direction_of(y.metric))
     front = pareto(found, *better)
     where = "post" if better[0] == "lower" else "pre"
-    axis.step(
-        [p.x * by for p in front],
-        [p.y * up for p in front],
-        where=where,
-        color="#999999",
-        lw=1,
-        ls=(0, (4, 2)),
-        zorder=1,
-    )
+    axis.step([p.x * by for p in front], [p.y * up for p in front], where=where, color="#999999", lw=1,
+              ls=(0, (4, 2)), zorder=1)  # fmt: skip
     for (_, method, _), rungs in ladders(found).items():
         axis.plot(
             [p.x * by for p in rungs], [p.y * up for p in rungs], color=looks[method][0], lw=0.8, alpha=0.7,
@@ -284,10 +290,10 @@ def _legend(found: list[Point], looks: dict, layout: Layout) -> list[Line2D]:
     return handles
 
 
-def write(figure: Figure, folder: Path) -> None:
+def write(figure: HoverFigure, folder: Path) -> None:
     """``chart.svg`` and ``chart.png``; the same bytes for the same figures."""
     import matplotlib
 
     with matplotlib.rc_context(STYLE):
-        figure.savefig(folder / "chart.svg", metadata={"Date": None})
+        figure.save_svg(folder / "chart.svg", metadata={"Date": None})
         figure.savefig(folder / "chart.png", dpi=170, metadata={"Software": None})

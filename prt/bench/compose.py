@@ -72,10 +72,13 @@ def by_budget(table: dict[str, Any], *, _root_: DictConfig) -> Any:
 OmegaConf.register_new_resolver("by_budget", by_budget, replace=True)
 
 
-def compose(overrides: Sequence[str]) -> DictConfig:
+def compose(overrides: Sequence[str], gpu: bool | None = None) -> DictConfig:
     """The resolved configuration of one run.
 
     Adds ``choice``, the name chosen in every group. Composing twice gives the same result.
+
+    Args:
+        gpu: whether the machine that will carry it out has a GPU; None if that is this one.
 
     Raises:
         PrtError: for a misspelt key, an unknown choice, a malformed override, an unknown budget.
@@ -84,7 +87,7 @@ def compose(overrides: Sequence[str]) -> DictConfig:
     check_additions(overrides)
     with reported(overrides):
         cfg = raw_compose(overrides)
-        return finish(cfg)
+        return finish(cfg, gpu=gpu)
 
 
 def with_companions(overrides: Sequence[str]) -> list[str]:
@@ -109,20 +112,23 @@ def raw_compose(overrides: Sequence[str]) -> DictConfig:
         return hydra_compose("config", [*searchpath_override(), *overrides], return_hydra_config=True)
 
 
-def finish(cfg: DictConfig, chosen: dict[str, Any] | None = None) -> DictConfig:
-    """Check, resolve and complete a configuration (with its ``hydra`` node, or with ``chosen`` given)."""
+def finish(cfg: DictConfig, chosen: dict[str, Any] | None = None, gpu: bool | None = None) -> DictConfig:
+    """Check, resolve and complete a configuration (with its ``hydra`` node, or with ``chosen`` given).
+
+    The launcher's settings are left out: where a run is carried out is no part of it.
+    """
     chosen = dict(chosen if chosen is not None else cfg.hydra.runtime.choices)
     names = {group: str(chosen[group]).replace("/", "_") for group in GROUPS if chosen.get(group)}
     missing = [key for key in (*GROUPS, "seed", "device", "run") if cfg.get(key) is None]
     if missing:
         raise PrtError(f"{missing[0]} is missing; do not delete it, choose one ({missing[0]}=...)")
-    cfg = OmegaConf.create({key: cfg._get_node(key) for key in cfg if key != "hydra"})
+    cfg = OmegaConf.create({key: cfg._get_node(key) for key in cfg if key not in ("hydra", "launcher")})
     with open_dict(cfg):
         cfg.task.pop("_with_", None)
     resolve(cfg, names)
     with open_dict(cfg):
         cfg.choice = names
-        cfg.device = device_kind(cfg.device)
+        cfg.device = device_kind(cfg.device, gpu)
     check_root(cfg)
     OmegaConf.set_struct(cfg, True)
     return cfg
@@ -149,11 +155,13 @@ def resolve(cfg: DictConfig, names: dict[str, str]) -> None:
         raise PrtError(reason) from error
 
 
-def device_kind(wanted: Any) -> str:
-    """``cpu`` or ``cuda`` for the setting ``device``."""
+def device_kind(wanted: Any, gpu: bool | None = None) -> str:
+    """``cpu`` or ``cuda`` for the setting ``device``; ``gpu`` as in :func:`compose`."""
     if wanted not in ("auto", "cpu", "cuda"):
         raise PrtError(f"device={wanted!r} is not one of auto, cpu, cuda")
-    have = torch.cuda.is_available()
+    have = torch.cuda.is_available() if gpu is None else gpu
+    if wanted == "cuda" and not have and gpu is not None:
+        raise PrtError("device=cuda: the launcher gives a run no GPU; add launcher.gpus=1, or device=cpu")
     if wanted == "cuda" and not have:
         raise PrtError(
             "device=cuda: torch sees no CUDA device; use device=auto or device=cpu, see `prt doctor`"
@@ -192,7 +200,7 @@ def check_additions(overrides: Sequence[str]) -> None:
     for text in overrides:
         match = re.match(r"\+\+?([\w./@]+)=", text)
         key = match.group(1) if match else None
-        if key is None or key.startswith("hydra") or key.split(".")[0] in BUILT:
+        if key is None or key.startswith(("hydra", "launcher.options.")) or key.split(".")[0] in BUILT:
             continue
         if text.startswith("++") and known_key(key):
             continue

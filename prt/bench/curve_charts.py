@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from prt.bench.chart import COLOURS, MARKERS, STYLE, label_log
 from prt.bench.curves import LINE_STYLES, Curve, Line, axis_key, lines
+from prt.bench.hover import HoverFigure, says
 from prt.bench.layout import Layout, split_name
 from prt.bench.results import measured_once
 
@@ -25,7 +25,7 @@ MARK = "prt curves"
 TICKS = 12
 
 
-def draw(results: pd.DataFrame, layout: Layout, curve: Curve, split: str = "") -> Figure | None:
+def draw(results: pd.DataFrame, layout: Layout, curve: Curve, split: str = "") -> HoverFigure | None:
     """One line chart, or None where no figures have this x and y; ``split`` as for :func:`lines`."""
     import matplotlib
 
@@ -38,10 +38,14 @@ def draw(results: pd.DataFrame, layout: Layout, curve: Curve, split: str = "") -
     looks = Looks(found, layout, curve)
     with matplotlib.rc_context(STYLE):
         size = (2.9 * columns + 2.1, 2.5 * rows + 0.4) if curve.panels else (5.6, 3.2)
-        figure = Figure(figsize=size, layout="constrained")
+        figure = HoverFigure(figsize=size, layout="constrained")
         axes = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
         for axis, scene in zip(axes, scenes, strict=False):
-            _panel(axis, [o for o in found if not scene or o.place["scene"] == scene], looks, curve)
+            here = [o for o in found if not scene or o.place["scene"] == scene]
+            _panel(axis, here, looks, curve)
+            for line in here:
+                where = f", {layout.label(scene)}" if scene else ""
+                _name_points(figure, axis, line, looks.name(line) + where, curve)
             if scene:
                 axis.set_title(
                     layout.label(scene), loc="left", fontsize=9, fontweight="bold", color="#222222"
@@ -150,6 +154,17 @@ def _panel(axis: Axes, found: list[Line], looks: Looks, curve: Curve) -> None:
     axis.set_axisbelow(True)
 
 
+def _name_points(figure: HoverFigure, axis: Axes, line: Line, name: str, curve: Curve) -> None:
+    """Let every point of a line say what it is."""
+    across = curve.labels.get("x", curve.x.replace("_", " "))
+    what = curve.name(curve.y[line.style])
+    for x, value, lo, hi in line.measured:
+        figure.point(axis, x, value, says(name, [(what, value, lo, hi), (across, x, math.nan, math.nan)]))
+    for x, value in line.published:
+        plain = [(what, value, math.nan, math.nan), (across, x, math.nan, math.nan)]
+        figure.point(axis, x, value, says(f"{name}, published", plain))
+
+
 def write_all(
     curves: Sequence[Curve], results: pd.DataFrame, layout: Layout, folder: Path, split: str = ""
 ) -> list[str]:
@@ -174,12 +189,12 @@ def remove_old(folder: Path) -> None:
             path.with_suffix(".png").unlink(missing_ok=True)
 
 
-def write(figure: Figure, folder: Path, file: str) -> None:
+def write(figure: HoverFigure, folder: Path, file: str) -> None:
     """``<file>.svg`` and ``<file>.png``; the same bytes for the same figures."""
     import matplotlib
 
     with matplotlib.rc_context(STYLE):
-        figure.savefig(folder / f"{file}.svg", metadata={"Date": None, "Creator": MARK})
+        figure.save_svg(folder / f"{file}.svg", metadata={"Date": None, "Creator": MARK})
         figure.savefig(folder / f"{file}.png", dpi=170, metadata={"Software": None})
 
 

@@ -20,11 +20,11 @@ from prt.paths import DATA_HELP, cache_folder, data_folder
 EXTRAS = {
     "hydra_plugins.hydra_ray_launcher": (
         "hydra-ray-launcher",
-        "pip install hydra-ray-launcher (sweeps on a Ray cluster)",
+        "pip install 'prt[ray]' (launcher=ray: runs on a Ray cluster)",
     ),
     "hydra_plugins.hydra_submitit_launcher": (
         "hydra-submitit-launcher",
-        "pip install hydra-submitit-launcher (sweeps on Slurm)",
+        "pip install 'prt[submitit]' (launcher=local, slurm: runs as processes, or on Slurm)",
     ),
     "torchvision": ("torchvision", "pip install torchvision lpips (LPIPS weights without PRT_DATA)"),
 }

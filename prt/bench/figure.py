@@ -18,6 +18,7 @@ from matplotlib.patches import Rectangle
 
 from prt.bench.exr import read_exr
 from prt.bench.layout import MISSING, Layout, split_name
+from prt.bench.panels import REFERENCE, PanelFigure
 from prt.bench.results import DENOISED, Cell, join_variant
 from prt.errors import PrtError
 from prt.metrics.tonemap import exposure_of, to_srgb
@@ -27,6 +28,7 @@ Image = Float[np.ndarray, "H W 3"]
 References = Callable[[Cell, str, str, str], dict[str, Image]]
 #: inches a picture takes on the page
 SIDE = 1.75
+DPI = 150
 #: the end of the error maps' scale, in displayed values (0 to 1)
 ERROR_END = 0.15
 CAPTION = (
@@ -159,7 +161,7 @@ def shown_methods(layout: Layout, settings: dict) -> list[tuple[str, str]]:
     return layout.chosen(columns, "figure.columns") if columns else layout.methods
 
 
-def draw(rows: list[Row], layout: Layout, settings: dict | None = None) -> Figure | None:
+def draw(rows: list[Row], layout: Layout, settings: dict | None = None) -> PanelFigure | None:
     """The figure, or None without rows; ``settings`` as for :func:`gather`."""
     import matplotlib
 
@@ -179,7 +181,7 @@ def draw(rows: list[Row], layout: Layout, settings: dict | None = None) -> Figur
     head = 0.14 + 0.13 * max(_titled(label).count("\n") + 1 for label in labels)
     height = sum(flat) * SIDE + head + 0.03 + bottom
     with matplotlib.rc_context({"font.family": "DejaVu Sans", "font.size": 8.5}):
-        figure = Figure(figsize=(width, height))
+        figure = PanelFigure(figsize=(width, height))
         grid = figure.add_gridspec(
             len(flat), 1 + len(labels), height_ratios=flat, wspace=0.025, hspace=0.03,
             left=0.3 / width, right=1 - 0.06 / width, top=1 - head / height, bottom=bottom / height,
@@ -194,13 +196,18 @@ def draw(rows: list[Row], layout: Layout, settings: dict | None = None) -> Figur
     return figure
 
 
-def _draw_row(figure: Figure, grid, at: int, row: Row, labels: list[str], common: str, first: bool) -> None:
+def _draw_row(
+    figure: PanelFigure, grid, at: int, row: Row, labels: list[str], common: str, first: bool
+) -> None:
     """One row; ``common`` is the component that all rows show, empty where each says its own."""
+    figure.row(label=row.label, scene=row.scene, split=row.split, view=row.view, lighting=row.lighting,
+               component=row.component, exposure=float(row.exposure), psnr=row.psnr)  # fmt: skip
     top = figure.add_subplot(grid[at, 0])
     _show(top, row.reference)
+    figure.panel(REFERENCE, "picture", top)
     top.set_ylabel(row.label, fontweight="bold", fontsize=9, labelpad=4)
     if first:
-        top.set_title(f"Reference ({common})" if common else "Reference", fontsize=9, pad=4)
+        top.set_title(f"{REFERENCE} ({common})" if common else REFERENCE, fontsize=9, pad=4)
     below = figure.add_subplot(grid[at + 1, 0])
     below.axis("off")
     _facts(below, row, bool(common))
@@ -212,18 +219,13 @@ def _draw_row(figure: Figure, grid, at: int, row: Row, labels: list[str], common
         columns.append(picture)
         if label not in row.pictures:
             _show(picture, np.ones_like(row.reference))
-            picture.text(
-                0.5,
-                0.5,
-                "no finished run",
-                ha="center",
-                va="center",
-                transform=picture.transAxes,
-                color="#999",
-            )
+            picture.text(0.5, 0.5, "no finished run", ha="center", va="center", transform=picture.transAxes,
+                         color="#999")  # fmt: skip
             errors.axis("off")
             continue
         _show(picture, row.pictures[label])
+        figure.panel(label, "picture", picture)
+        figure.panel(label, "error", errors)
         error = np.abs(row.pictures[label] - row.reference).mean(axis=-1)
         errors.imshow(error, cmap="magma", vmin=0, vmax=ERROR_END, interpolation="nearest")
         errors.set_anchor("N")
@@ -287,6 +289,7 @@ def _enlarge(figure: Figure, grid, at: int, row: Row, columns: list[Axes], label
                 spine.set(visible=True, edgecolor=colour, linewidth=1.4)
 
 
-def write(figure: Figure, folder: Path) -> None:
-    """``figure.png`` at display size."""
-    figure.savefig(folder / "figure.png", dpi=150, metadata={"Software": None})
+def write(figure: PanelFigure, folder: Path) -> None:
+    """``figure.png`` at display size, and ``figure.json``: where in it each panel lies."""
+    figure.savefig(folder / "figure.png", dpi=DPI, metadata={"Software": None})
+    figure.write_boxes(folder / "figure.png", DPI, error_end=ERROR_END)

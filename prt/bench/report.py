@@ -127,7 +127,7 @@ def make_sheets(spec: "Spec", plan: Layout, results: pd.DataFrame, reasons: dict
 def draw_pictures(spec, plan, cells, images, results, references) -> list[str]:
     """Write chart, curves and figure; returns notes of what is missing in them; removes old ones."""
     folder = spec.report
-    for name in ("chart.svg", "chart.png", "figure.png"):
+    for name in ("chart.svg", "chart.png", "figure.png", "figure.json"):
         (folder / name).unlink(missing_ok=True)
     notes = []
     drawn = chart.draw(results, plan, spec.chart, chart_note(cells))

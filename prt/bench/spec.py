@@ -39,6 +39,7 @@ from omegaconf.errors import OmegaConfBaseException
 import prt
 from prt.bench import compose as composer
 from prt.bench.claims import Claim, parse_claims
+from prt.bench.launchers import is_launcher, split
 from prt.bench.pictures import Picture, parse_pictures
 from prt.errors import PrtError
 from prt.paths import data_folder
@@ -72,6 +73,7 @@ class Spec:
     settings: dict[str, list[str]] = field(default_factory=dict)
     curves: "list[Curve]" = field(default_factory=list)
     pictures: list[Picture] = field(default_factory=list)
+    launcher: list[str] = field(default_factory=list)  #: overrides that choose and configure it
 
     @property
     def command(self) -> str:
@@ -114,8 +116,9 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
 
     Where ``PRT_DATA`` is not set, the YAML's ``without_data`` takes the place of its ``grid`` and ``common``.
     An override of a grid axis replaces its values (``scene=a,b``); ``report=<folder>`` says where to write;
-    ``benchmark.<key>`` changes a benchmark's setting; every other one replaces or joins ``common``. Overrides
-    that change results get a folder of their own.
+    ``benchmark.<key>`` changes a benchmark's setting; ``launcher=...`` and its settings say where runs are
+    carried out, and are no part of them; every other one replaces or joins ``common``. Overrides that change
+    results get a folder of their own.
 
     Raises:
         PrtError: for an unknown table or key, a grid without scenes or methods, a wrong claim or override.
@@ -143,13 +146,16 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
     if not grid.get("scene") or not (grid.get("method") or benchmark):
         raise PrtError(f"{path}: grid must list at least one scene and one method")
     grid.setdefault("seed", ["0"])
-    common, changed, report = [str(c) for c in content.get("common") or []], [], None
+    launcher, common = split(str(c) for c in content.get("common") or [])
+    changed, report = [], None
     for text in overrides:
         key, equals, value = text.partition("=")
         if not equals:
             raise PrtError(f"cannot read {text!r}: an override is key=value, as scene=kitchen,bathroom")
         if key == "report":
             report = Path(value)
+        elif is_launcher(text):
+            launcher += [text]
         elif key in grid:
             changed += [text] if grid[key] != value.split(",") else []
             grid[key] = value.split(",")
@@ -167,12 +173,12 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
     columns = {key: [str(v) for v in _listed(value)] for key, value in (content.get("columns") or {}).items()}
     return Spec(
         name, path, str(content.get("title") or name), grid, common,
-        report or Path("reports") / (name + ("_" + slug if slug else "")), list(overrides),
+        report or Path("reports") / (name + ("_" + slug if slug else "")), split(overrides)[1],
         content.get("about") or "", columns, content.get("labels") or {},
         path.parent / published if published else None,
         claims, content.get("chart") or {}, content.get("figure") or {}, benchmark,
         named_settings(path, content.get("settings") or {}, grid),
-        *drawn(path, content),
+        *drawn(path, content), launcher,
     )  # fmt: skip
 
 

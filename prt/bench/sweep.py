@@ -1,60 +1,60 @@
-"""Sweeps: every combination of the values given, through whichever Hydra launcher is chosen."""
+"""Sweeps: every combination of the values given, through whichever launcher is chosen."""
 
-import os
-import sys
 from collections.abc import Sequence
-from unittest import mock
+from pathlib import Path
 
-import hydra
-from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
-from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
+from hydra.core.plugins import Plugins
 
-from prt.bench import compose
-from prt.bench.run import run, say, summary
+from prt.bench import compose, launch, launchers
+from prt.bench.run import say, summary
 from prt.errors import PrtError
 
 
-def job(cfg: DictConfig) -> str:
-    """One run of a sweep; module level so that launchers can send it to other processes."""
-    chosen = HydraConfig.get().runtime.choices
-    words = " ".join(HydraConfig.get().overrides.task)
-    try:
-        with compose.reported([]):
-            folder = run(compose.finish(cfg, chosen))
-        print(f"{folder.path}\n{summary(folder)}", flush=True)
-        return str(folder.path)
-    except Exception as error:
-        kind = "" if isinstance(error, PrtError) else f"{type(error).__name__}: "
-        say(f"prt: error: {words}: {kind}{' '.join(str(error).split())}")
-        # a plain error of text only crosses every launcher's process border
-        raise PrtError(f"{words}: {kind}{error}") from None
-
-
 def sweep(overrides: Sequence[str]) -> int:
-    """Run every combination; a failed run does not stop the others.
+    """Run every combination; a failed run, or one whose worker died, does not stop the others.
+
+    Prints every run's summary, and in the end what the sweep cost (kept in ``cost.json`` of the sweep's
+    folder, below ``<run.folder>/.sweeps/``).
 
     Returns:
-        0 if all runs are done, 2 otherwise (each failure has been printed and stands in its folder's FAILED).
+        0 if all runs are done, 2 otherwise (each failure has been printed; those of a run's own stand in its
+        folder's FAILED).
 
     Raises:
-        PrtError: for mistakes in the overrides, before anything runs.
+        PrtError: for mistakes in the overrides, before anything runs; for a launcher that cannot be reached.
     """
     overrides = compose.with_companions(overrides)
     compose.check_additions(overrides)
-    app = hydra.main(version_base="1.3", config_path=str(compose.conf_folder()), config_name="config")(job)
-    words = ["prt run", "--multirun", *compose.searchpath_override(), *overrides]
-    # Hydra reads the command line, and only with this variable hands its errors to the caller
-    with mock.patch.object(sys, "argv", words), mock.patch.dict(os.environ, {"HYDRA_FULL_ERROR": "1"}):
+    with compose.reported(overrides):
+        cfg, context, settings = launchers.master(overrides)
+        sweeper = Plugins.instance().instantiate_sweeper(
+            config=cfg, hydra_context=context, task_function=launch.job_of(settings)
+        )
+        # every sweeper sends its jobs through its launcher; ours asks that one, and answers for dead workers
+        answering = launch.Answering(sweeper.launcher, settings, tell)  # pyright: ignore
+        sweeper.launcher = answering  # pyright: ignore
         try:
-            app()
-        except (HydraException, OmegaConfBaseException) as error:
-            raise compose.translate(error, overrides) from error
-        except OSError as error:  # Hydra's own folder of the sweep; a run's errors come as PrtError
+            context.callbacks.on_multirun_start(config=cfg, config_name="config")
+            sweeper.sweep(arguments=launchers.plain(cfg))
+            context.callbacks.on_multirun_end(config=cfg, config_name="config")
+        except OSError as error:  # Hydra's own folder of the sweep; a run's errors are in its outcome
             where = f"{error.filename}: {error.strerror}"
             raise PrtError(f"cannot write {where}; choose another with run.folder=<path>") from error
-        except PrtError:
-            say("prt: error: some runs of the sweep failed, the others are done; `prt status` lists them")
-            return 2
-    return 0
+    if answering.cost.runs:
+        say(answering.cost.text())
+        answering.cost.keep(Path(str(cfg.hydra.sweep.dir)) / "cost.json")
+    failed = sum(bool(outcome.reason) for outcome in answering.outcomes)
+    if failed:
+        count = f"{failed} of {len(answering.outcomes)}"
+        say(f"prt: error: some runs of the sweep failed ({count}), the others are done; see `prt status`")
+    return 2 if failed else 0
+
+
+def tell(plan: launch.Plan, outcome: launch.Outcome) -> None:
+    """Print what became of a run when it is known."""
+    if outcome.reason:
+        say(f"prt: error: {' '.join(plan.words)}: {outcome.reason}")
+        return
+    if outcome.before:
+        say(f"done already: {outcome.run.path}")
+    print(f"{outcome.run.path}\n{summary(outcome.run)}", flush=True)

@@ -10,10 +10,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from hydra.plugins.launcher import Launcher
 from omegaconf import DictConfig
 
 from prt.bench import compose as composer
+from prt.bench import launch, launchers
 from prt.bench import run as runner
+from prt.bench.cost import Cost, Watch, clock
 from prt.bench.layout import Layout
 from prt.bench.results import Cell
 from prt.bench.spec import Spec, load_spec
@@ -51,11 +54,14 @@ def short(override: str) -> str:
     return key.rpartition(".")[2] + equals + value
 
 
-def resolve(spec: Spec) -> list[tuple[Cell, DictConfig]]:
-    """The grid as cells with their composed configurations; a mistake in any stops before anything runs."""
+def resolve(spec: Spec, gpu: bool | None = None) -> list[tuple[Cell, DictConfig]]:
+    """The grid as cells with their composed configurations; a mistake in any stops before anything runs.
+
+    ``gpu`` as in :func:`prt.bench.compose.compose`.
+    """
     cells = []
     for overrides, variant in grid_overrides(spec):
-        cfg = composer.compose(overrides)
+        cfg = composer.compose(overrides, gpu)
         cell = Cell(
             cfg.choice.scene, cfg.choice.method, variant, int(cfg.seed), str(cfg.budget.name),
             runner.folder_of(cfg), tuple(overrides),
@@ -83,19 +89,20 @@ def layout_of(spec: Spec, cells: Sequence[Cell]) -> Layout:
 
 
 def run_missing(
-    cells: Sequence[tuple[Cell, DictConfig]], carry_out: Callable[[DictConfig], Any] = runner.run
+    cells: Sequence[tuple[Cell, DictConfig]],
+    carry_out: Callable[[DictConfig], Any] = runner.run,
+    cost: Cost | None = None,
 ) -> dict[Cell, str]:
-    """Run what is not done; returns the reasons of those that failed, which do not stop the rest."""
+    """Run what is not done here, one after the other; returns the reasons of those that failed.
+
+    A failure does not stop the rest. ``cost`` gets the account.
+    """
     failed: dict[Cell, str] = {}
-    todo = [(cell, cfg) for cell, cfg in cells if not cell.done]
-    say(f"{len(cells)} runs: {len(cells) - len(todo)} done already, {len(todo)} to run")
-    started = time.monotonic()
-    for number, (cell, cfg) in enumerate(todo):
-        spent = time.monotonic() - started
-        left = f", about {clock(spent / number * (len(todo) - number))} left" if number else ""
-        variant = f" {cell.variant}" if cell.variant else ""
-        place = f"[{number + 1}/{len(todo)}] {cell.scene} {cell.method}{variant} seed {cell.seed}"
-        say(f"{place}: {clock(spent)} elapsed{left}")
+    cost = cost or Cost()
+    todo = begin(cells, cost)
+    for cell, cfg in todo:
+        say(f"[{cost.runs + 1}/{len(todo)}] {called(cell)}: {progress(cost, len(todo))}")
+        watch = Watch(cell.run)
         try:
             carry_out(cfg)
         except PrtError as error:
@@ -104,19 +111,52 @@ def run_missing(
             Exception
         ) as error:  # a bug in one run must not cost the others; its traceback lies in its folder
             failed[cell] = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        cost.add(watch.parts(), cell in failed)
         if cell in failed:
             say(f"    failed: {failed[cell]}")
     return failed
 
 
-def clock(seconds: float) -> str:
-    """``42 s``, ``3 min 05 s``, ``1 h 12 min``."""
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60:02d} s"
-    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+def send_missing(
+    cells: Sequence[tuple[Cell, DictConfig]], launcher: Launcher, settings: launchers.Settings, cost: Cost
+) -> dict[Cell, str]:
+    """Send what is not done to a launcher, every run a job of its own; returns as :func:`run_missing`.
+
+    Raises:
+        PrtError: where the launcher's engine cannot be reached.
+    """
+    todo = [cell for cell, _ in begin(cells, cost)]
+    plans = [launch.plan(cell.overrides, settings) for cell in todo]
+    place = {plan.run.path: cell for plan, cell in zip(plans, todo, strict=True)}
+
+    def tell(plan: launch.Plan, outcome: launch.Outcome) -> None:
+        came = f"failed: {outcome.reason}" if outcome.reason else "done"
+        say(
+            f"[{cost.runs}/{len(place)}] {called(place[plan.run.path])}: {came}; {progress(cost, len(place))}"
+        )
+
+    found = launch.deliver(launcher, settings, plans, cost, tell)
+    return {cell: one.reason for cell, one in zip(todo, found, strict=True) if one.reason}
+
+
+def begin(cells: Sequence[tuple[Cell, DictConfig]], cost: Cost) -> list[tuple[Cell, DictConfig]]:
+    """Say what there is to do, and return it."""
+    todo = [(cell, cfg) for cell, cfg in cells if not cell.done]
+    cost.before = len(cells) - len(todo)
+    say(f"{len(cells)} runs: {cost.before} done already, {len(todo)} to run")
+    return todo
+
+
+def called(cell: Cell) -> str:
+    """A run as people call it."""
+    return f"{cell.scene} {cell.method}{f' {cell.variant}' if cell.variant else ''} seed {cell.seed}"
+
+
+def progress(cost: Cost, runs: int) -> str:
+    """How long it took so far, and may still take at this pace."""
+    spent = time.monotonic() - cost.started
+    left = f", about {clock(spent / cost.runs * (runs - cost.runs))} left" if 0 < cost.runs < runs else ""
+    return f"{clock(spent)} elapsed{left}"
 
 
 def say(text: str) -> None:
@@ -126,14 +166,24 @@ def say(text: str) -> None:
 def main(name: str, overrides: Sequence[str] = (), dry_run: bool = False) -> int:
     """``prt table <name> [--dry-run] [overrides]``: run what is missing, write the report, print the table.
 
-    Returns 1 where some run failed, else 0. Raises PrtError for a mistake in the YAML or the overrides.
+    With ``launcher=ray`` or another, every missing run is a job of that launcher, and the report is written
+    here when all have ended. Benchmarks are always measured in this process. What the runs of this call cost
+    is printed, and added to the report folder's ``cost.json``.
+
+    Returns 1 where some run failed or its worker died, else 0. Raises PrtError for a mistake in the YAML or
+    the overrides.
     """
     spec = load_spec(name, overrides)
     if spec.benchmark:
         from prt.bench import benchmark
 
+        if spec.launcher:
+            say(f"{spec.launcher[0]}: a benchmark is measured in this process, one scene after the other")
         return benchmark.main(spec, dry_run)
-    cells = resolve(spec)
+    with composer.reported(spec.launcher):
+        place = [text for text in spec.common if text.startswith("run.folder=")]
+        master, context, settings = launchers.master([*spec.launcher, *place])
+    cells = resolve(spec, settings.gpu)
     layout = layout_of(spec, [cell for cell, _ in cells])
     if dry_run:
         print(f"{spec.title}: {len(cells)} runs, report in {spec.report}")
@@ -141,11 +191,22 @@ def main(name: str, overrides: Sequence[str] = (), dry_run: bool = False) -> int
             print(f"  {cell.run.state():8} {cell.run.path}  prt run {' '.join(cell.overrides)}")
         return 0
     check_writable(spec.report)  # before hours of runs, not after
-    failed = run_missing(cells)
+    cost = Cost()
+    if settings.here:
+        if settings.threads is not None:
+            launch.limit_threads(settings.threads)
+        failed = run_missing(cells, cost=cost)
+    else:
+        failed = send_missing(
+            cells, launchers.plugin(master, context, launch.job_of(settings)), settings, cost
+        )
 
     from prt.bench.report import write_report
 
     write_report(spec, layout, [cell for cell, _ in cells], failed, references=TaskReferences(dict(cells)))
+    if cost.runs:
+        say(cost.text())
+        cost.keep(spec.report / "cost.json")
     return 1 if failed else 0
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import signal
 import time
 from pathlib import Path
 from typing import Any
@@ -152,6 +153,26 @@ class FakeMethod:
 
     def load(self, path: Path, task: Any, device: str) -> None:
         self.net.load_state_dict(load_file(path))
+
+
+class MortalMethod(FakeMethod):
+    """Kills its own process in mid-fit, once: where the file ``marker`` is not there yet."""
+
+    def __init__(self, marker: str, dies_at: int = 25, **settings: Any):
+        super().__init__(**settings)
+        self.marker, self.dies_at = Path(marker), dies_at
+
+    def fit(self, task: Any, log: Any, seed: int, device: str) -> None:
+        whole = log.step
+
+        def step(number: int, **values: float) -> None:
+            whole(number, **values)
+            if number == self.dies_at and not self.marker.exists():
+                self.marker.touch()
+                os.kill(os.getpid(), signal.SIGKILL)
+
+        log.step = step
+        super().fit(task, log, seed, device)
 
 
 class OtherMethod(FakeMethod):

@@ -77,6 +77,30 @@ def test_files_are_whole_and_the_same_again(results, tmp_path):
     assert min(pixels.shape[:2]) > 300 and pixels[..., :3].std() > 0.02
 
 
+def test_points_of_the_svg_say_what_they_are(results, tmp_path):
+    figure = draw(results, PLAN, {})
+    chart.write(figure, tmp_path)
+    text = (tmp_path / "chart.svg").read_text()
+    circles = ET.fromstring(text).findall(".//{*}circle")
+    found = points(results, PLAN, Axis.parse("time/frame"), Axis.parse("psnr/indirect"), "far")
+    assert len(circles) == len(found) == 10 and len({c.get("id") for c in circles}) == 10
+    titles = [circle.findtext("{*}title") for circle in circles]
+    first = found[0]
+    assert titles[0].splitlines() == [
+        "wavelet neural, Box",
+        f"PSNR, indirect (dB): {first.y:.4g} [{first.y_lo:.4g}, {first.y_hi:.4g}]",
+        f"time per frame (ms): {first.x * 1e3:.4g}, 95th percentile {first.x_hi * 1e3:.4g}",
+    ]
+    assert titles[1].startswith("wavelet neural (denoised), Box\n")
+    # each lies on its marker: a shape of the point's colour is drawn right there
+    drawn = [u for u in ET.fromstring(text).iter("{http://www.w3.org/2000/svg}use") if u.get("x")]
+    places = np.array([[float(u.get("x")), float(u.get("y"))] for u in drawn])
+    for circle in circles:
+        at = [float(circle.get("cx")), float(circle.get("cy"))]
+        assert np.abs(places - at).max(axis=1).min() < 0.01
+        assert "fill: none" in circle.get("style")  # nothing of it is seen
+
+
 @pytest.fixture
 def ladder(tmp_path):
     """One method at three sizes, the larger the slower and the better, and a method without variants."""

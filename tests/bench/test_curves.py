@@ -127,6 +127,20 @@ def test_many_groups_never_look_alike():
     assert len({looks.of(line) for line in looks.found}) == 20
 
 
+def test_points_of_the_svg_say_what_they_are(results, tmp_path):
+    wanted = curve(where={"lambda": 0.01, "scene": "box"}, labels={"rmse/bound/indirect": "a < b"})
+    curve_charts.write_all([wanted], results, plan(results), tmp_path, "same")
+    titles = [node.text for node in ET.parse(tmp_path / "error.svg").findall(".//{*}circle/{*}title")]
+    assert len(titles) == 2 * 3 + 1 and len(set(titles)) == 7
+    assert titles[0].splitlines() == [
+        "SVD, Box",
+        "RMSE, indirect (radiance): 0.25 [0.225, 0.275]",
+        "basis: 4",
+    ]
+    assert "SVD, Box, published\nRMSE, indirect (radiance): 0.05\nbasis: 16" in titles
+    assert "SVD, Box\na < b: 0.125 [0.1125, 0.1375]\nbasis: 4" in titles
+
+
 def test_files_are_whole_equal_and_removed_when_no_longer_listed(results, tmp_path):
     layout = plan(results)
     one, two = curve(group="scene"), curve(file="slow", y="time/shade")

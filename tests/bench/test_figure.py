@@ -1,5 +1,8 @@
 """The figure of images with error maps."""
 
+import dataclasses
+import json
+
 import matplotlib.image
 import numpy as np
 import pytest
@@ -75,6 +78,46 @@ def test_drawn_with_labels_and_the_best_in_bold(cells, tmp_path):
     assert matplotlib.image.imread(tmp_path / "figure.png").std() > 0.1
     figure.write(figure.draw(rows, PLAN), tmp_path)
     assert (tmp_path / "figure.png").read_bytes() == first
+
+
+def test_boxes_hold_the_pictures_and_nothing_around_them(tmp_path):
+    """Each panel cut out of figure.png by figure.json is the picture itself, enlarged pixel by pixel."""
+    rng = np.random.default_rng(3)
+    truth = rng.uniform(0.2, 0.8, (12, 16, 3))
+    shown = {"a": np.clip(truth + 0.05, 0, 1), "b": np.clip(truth + rng.normal(0, 0.1, truth.shape), 0, 1)}
+    crops = [[0.1, 0.1, 0.4, 0.4]]
+    rows = [
+        figure.Row("box", "far", "view0", "sky", "full", 2.0, truth, pictures, {"a": 26.0, "b": nan}, crops)
+        for pictures, nan in ((shown, float("nan")), ({"b": shown["b"]}, 20.0))
+    ]
+    plan = Layout(["box"], [("a", ""), ("b", "")])
+    rows[1] = dataclasses.replace(rows[1], crops=[])  # crops are framed in the pictures themselves
+    figure.write(figure.draw(rows[1:] + rows[1:], plan), tmp_path)
+    boxes = json.loads((tmp_path / "figure.json").read_text())
+    pixels = matplotlib.image.imread(tmp_path / "figure.png")[..., :3]
+    assert (boxes["height"], boxes["width"]) == pixels.shape[:2] and boxes["error_end"] == figure.ERROR_END
+    assert [(p["row"], p["column"], p["kind"]) for p in boxes["panels"]] == [
+        (row, *panel)
+        for row in (0, 1)
+        for panel in (("Reference", "picture"), ("b", "picture"), ("b", "error"))
+    ]
+    error = matplotlib.colormaps["magma"](np.abs(shown["b"] - truth).mean(-1) / figure.ERROR_END)[..., :3]
+    for panel, wanted in zip(boxes["panels"], [truth, shown["b"], error] * 2, strict=True):
+        x, y, w, h = (panel[name] for name in ("x", "y", "width", "height"))
+        cut = pixels[y : y + h, x : x + w]
+        down, across = np.meshgrid(
+            (np.arange(h) + 0.5) * 12 / h, (np.arange(w) + 0.5) * 16 / w, indexing="ij"
+        )
+        inside = np.minimum(down % 1, across % 1).clip(max=1) > 0.15  # a pixel's rim may be its neighbour's
+        inside &= np.maximum(down % 1, across % 1) < 0.85
+        assert np.abs(cut - wanted[down.astype(int), across.astype(int)])[inside].max() < 0.01
+        for rim in (cut[0], cut[-1], cut[:, 0], cut[:, -1]):  # no white page, no frame
+            assert np.abs(rim[:, None] - wanted.reshape(-1, 3)).max(-1).min(-1).max() < 0.02
+    figure.write(figure.draw(rows, plan), tmp_path)
+    boxes = json.loads((tmp_path / "figure.json").read_text())
+    assert boxes["rows"][0]["psnr"] == {"a": 26.0} and boxes["rows"][1]["psnr"] == {"a": 26.0, "b": 20.0}
+    facts = {"scene": "box", "split": "far", "view": "view0", "lighting": "sky", "component": "full"}
+    assert boxes["rows"][0].items() >= facts.items() and boxes["rows"][0]["exposure"] == 2.0
 
 
 def test_rows_of_other_splits_views_and_components_with_labels_of_their_own(tmp_path):

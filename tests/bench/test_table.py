@@ -56,7 +56,7 @@ def test_report_has_every_file_and_regenerates_identically(spec, tmp_path):
     files = write(spec, cells)
     assert set(files) == {
         "results.csv", "table.md", "table.tex", "claims.csv", "chart.svg", "chart.png", "figure.png",
-        "report.md",
+        "figure.json", "report.md",
     }  # fmt: skip
     assert write(spec, cells) == files
     assert list(csv.reader(files["results.csv"].decode().splitlines()))[0] == COLUMNS
