@@ -10,10 +10,10 @@ The YAML names a function instead of methods; the rest of it means what it means
 
 The function is called once per scene, as ``function(scene=..., lighting=..., **settings)``, and returns
 rows with ``device, variant, component, metric, value, lo, hi, n``, and ``method`` where it is not the chosen
-one. It gets what its parameters
-name: ``scene``, ``lighting``, ``task`` (built from both), ``method`` (the settings of the chosen method, a
-dict), ``name`` (that method's), ``model`` (it fitted; the fit is kept and resumed as that of a run), and
-``folder`` (a Path), the report folder, where it may write PNG pictures that the YAML names::
+one. It gets what its parameters name: ``scene``, ``lighting``, ``task`` (built from both), ``method`` (the
+settings of the chosen method, a dict), ``name`` (that method's), ``model`` (it fitted; the fit is kept and
+resumed as that of a run), and ``folder`` (a Path), the report folder, where it may write PNG pictures that
+the YAML names::
 
     pictures: [{file: basis.png, caption: The first eight vectors}]
 

@@ -87,21 +87,21 @@ def check_task(cfg: DictConfig, task: Any, method: Any) -> None:
 
 def carry_out(folder: RunFolder, cfg: DictConfig, task: Any, method: Any) -> None:
     """Fit, reload, evaluate, time, mark as done."""
-    if not whole_checkpoint(folder) and not adopt(folder, cfg, method):
-        fit(folder, cfg, task, method)
-    del method
-    fitted = stored(folder, cfg, task)
-    evaluate_run(folder, cfg, task, fitted)
+    model = stored(folder, cfg, task, method)
+    evaluate_run(folder, cfg, task, model)
     if "shade" not in folder.timing():
-        time_run(folder, cfg, task, fitted)
+        time_run(folder, cfg, task, model)
     folder.finish()
 
 
-def stored(folder: RunFolder, cfg: DictConfig, task: Any) -> Any:
-    """What is judged is what was stored: a fresh method, read back from the file."""
-    method = build(cfg, "method")
-    method.load(folder.checkpoint, task, str(cfg.device))
-    return method
+def stored(folder: RunFolder, cfg: DictConfig, task: Any, method: Any) -> Any:
+    """The fitted model, from another run where one has it: as it was stored, read back by a fresh method."""
+    if not whole_checkpoint(folder) and not adopt(folder, cfg, method):
+        fit(folder, cfg, task, method)
+    del method
+    model = build(cfg, "method")
+    model.load(folder.checkpoint, task, str(cfg.device))
+    return model
 
 
 def fitted(cfg: DictConfig, task: Any) -> Any:
@@ -113,10 +113,9 @@ def fitted(cfg: DictConfig, task: Any) -> Any:
     folder, method = folder_of(cfg), build(cfg, "method")
     check_task(cfg, task, method)
     with folder.lock():
-        if not whole_checkpoint(folder) and not adopt(folder, cfg, method):
+        if not whole_checkpoint(folder):
             folder.begin(cfg, provenance.collect(cfg))
-            fit(folder, cfg, task, method)
-        return stored(folder, cfg, task)
+        return stored(folder, cfg, task, method)
 
 
 def adopt(folder: RunFolder, cfg: DictConfig, method: Any) -> bool:
@@ -130,8 +129,10 @@ def adopt(folder: RunFolder, cfg: DictConfig, method: Any) -> bool:
     mine = fit_settings(cfg, names)
     for path in sorted(folder.path.parent.iterdir()):
         other = RunFolder(path)
-        timing = {key: other.timing()[key] for key in FIT_TIMING if key in other.timing()}
-        if path == folder.path or "fit" not in timing or not other.checkpoint.exists():
+        if path == folder.path or not other.checkpoint.exists():
+            continue
+        timing = {key: value for key, value in other.timing().items() if key in FIT_TIMING}
+        if "fit" not in timing:
             continue
         if fit_settings(other.config(), names) != mine or not undamaged(other):
             continue

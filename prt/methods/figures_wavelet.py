@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from prt.light import haar
+from prt.methods.stability_wavelet import row
 from prt.methods.training import STRATEGIES, PointSampler
 from prt.methods.wavelet_neural import WaveletNeural
 from prt.metrics.tonemap import exposure_of, to_srgb
@@ -36,16 +37,16 @@ def training_points(task: Any, folder: Path, view: int, draws: int, smooth: floa
     data = task.training()
     mine = data.point_view == view
     is_smooth = data.gbuffer.roughness[:, 0] < smooth
-    size = task.train_size
     place = task.recorded(data.views[view], task.train_spp, task.seed + 1 + view)[0]
     lit = place.image(data.transport.rows(mine.nonzero()[:, 0]).relight(task.prior()[None])[0])
     panels = [("indirect light", to_srgb(lit.numpy(), exposure_of(lit.numpy())), None)]
     rows = []
-    for strategies in ([name] for name in STRATEGIES):
-        panels.append(drawn(data, mine, place, strategies, draws))
-        rows.append(share(data, is_smooth, strategies, draws))
-    panels.insert(1, drawn(data, mine, place, list(STRATEGIES), draws))
-    rows.append(share(data, is_smooth, list(STRATEGIES), draws))
+    for name, strategies in {"all": STRATEGIES, **{name: (name,) for name in STRATEGIES}}.items():
+        sampler = PointSampler(dict.fromkeys(strategies, 1.0), data.importance, draws)
+        points = sampler.draw(torch.Generator().manual_seed(0))
+        often = torch.bincount(points, minlength=len(data.gbuffer))[mine] * (len(data.gbuffer) / draws)
+        panels.append((name, place.image(often[:, None])[..., 0].numpy(), "magma"))
+        rows.append(row("points/smooth", float(is_smooth[points].float().mean()), f"strategy={name}", draws))
     figure = Figure(figsize=(2.1 * len(panels), 2.6), layout="constrained")
     image = None
     for axis, (title, picture, colours) in zip(figure.subplots(1, len(panels)), panels, strict=True):
@@ -59,33 +60,7 @@ def training_points(task: Any, folder: Path, view: int, draws: int, smooth: floa
     bar.set_label("times as often as uniform", fontsize=7)
     bar.ax.tick_params(labelsize=7)
     figure.savefig(folder / "points.png", dpi=150, metadata={"Software": None})
-    assert lit.shape[:2] == (size, size)
     return rows
-
-
-def drawn(
-    data: Any, mine: Tensor, place: Any, strategies: list[str], draws: int
-) -> tuple[str, np.ndarray, str]:
-    """Title, picture and colours of a panel: how often the pixels of one view are drawn."""
-    points = sampled(data, strategies, draws)
-    counts = torch.bincount(points, minlength=len(data.gbuffer))[mine].float() * len(data.gbuffer) / draws
-    title = "all four" if len(strategies) > 1 else strategies[0]
-    return title, place.image(counts[:, None])[..., 0].numpy(), "magma"
-
-
-def sampled(data: Any, strategies: list[str], draws: int) -> Tensor:
-    sampler = PointSampler(dict.fromkeys(strategies, 1.0), data.importance, draws)
-    return sampler.draw(torch.Generator().manual_seed(0))
-
-
-def share(data: Any, is_smooth: Tensor, strategies: list[str], draws: int) -> dict[str, Any]:
-    """A row of ``points/smooth``."""
-    name = "all" if len(strategies) > 1 else strategies[0]
-    value = float(is_smooth[sampled(data, strategies, draws)].float().mean())
-    return {
-        "device": "", "variant": f"strategy={name}", "component": "indirect",
-        "metric": "points/smooth", "value": value, "lo": None, "hi": None, "n": draws,
-    }  # fmt: skip
 
 
 def transport_spectrum(
@@ -121,11 +96,8 @@ def transport_spectrum(
         mean = parts.double().mean(dim=0)
         kept = (mean.cumsum(0) / mean.sum()).tolist()
         for count in [2**power for power in range(largest.bit_length()) if 2**power <= largest]:
-            rows.append({
-                "device": "", "variant": f"transport={name},kept={count}",
-                "component": "indirect", "metric": "energy/kept", "value": kept[count - 1],
-                "lo": None, "hi": None, "n": len(parts),
-            })  # fmt: skip
+            variant = f"transport={name},kept={count}"
+            rows.append(row("energy/kept", kept[count - 1], variant, len(parts)))
     return rows
 
 

@@ -90,9 +90,6 @@ def mirrored_points(
 
 def unmirrored(transport: Transport, reflected: Float[Tensor, "M 3"]) -> Transport:
     """Of paths that begin at mirrors, the indirect transport of what they show."""
-    keep = transport.bounces >= 3
     weight = transport.weight / reflected[transport.pixel_of_sample()]
-    offsets = torch.cat([torch.zeros(1, dtype=torch.int64), keep.cumsum(0)])[transport.offsets]
-    return Transport(
-        transport.resolution, offsets, transport.texel[keep], weight[keep], transport.bounces[keep] - 1
-    )
+    shown = dataclasses.replace(transport, weight=weight).samples(transport.bounces >= 3)
+    return dataclasses.replace(shown, bounces=shown.bounces - 1)

@@ -45,7 +45,6 @@ from prt.scene.mesh_places import MeshPlaces
 from prt.scene.subdivide import fine_mesh
 from prt.trace.statistics import wavelet_scale
 
-SELECTIONS = ("magnitude", "area", "transport")
 FEATURES = ("hashgrid", "vertices")
 
 
@@ -108,8 +107,8 @@ class WaveletNeural:
         mirrored: float = 0.0,
         kernel: Literal["auto", "plain", "fused"] = "auto",
     ):
-        if selection not in SELECTIONS:
-            raise PrtError(f"method.selection={selection!r} is not one of {', '.join(SELECTIONS)}")
+        if selection not in haar.SELECTIONS:
+            raise PrtError(f"method.selection={selection!r} is not one of {', '.join(haar.SELECTIONS)}")
         if precision not in ("float32", "bfloat16"):
             raise PrtError(f"method.precision={precision!r} is not one of float32, bfloat16")
         if features not in FEATURES:

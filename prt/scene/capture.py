@@ -1,5 +1,6 @@
 """The G-buffer of a view: one ray through each pixel centre, materials read where it lands."""
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -115,12 +116,16 @@ def capture(mi_scene, view: View) -> GBuffer:
     if count == 0:
         return _empty(hit, view)
     si = dr.gather(mi.SurfaceInteraction3f, si, row_numbers(hit.nonzero()[:, 0]))
-    material = materials_of(si, count)
+    seen = surfaces(si, count, towards(view, rows_of(si.p, count)))
+    return dataclasses.replace(seen, hit=hit, view=view)
 
-    position = rows_of(si.p, count)
-    normal, wo, wr = facing(view, position, rows_of(material.normal, count), rows_of(si.n, count))
+
+def surfaces(si, count: int, wo: Float[torch.Tensor, "N 3"]) -> GBuffer:
+    """The G-buffer of ``count`` valid interactions seen along ``wo``; it belongs to no image."""
+    material = materials_of(si, count)
+    normal, wr = mirrored(wo, rows_of(material.normal, count), rows_of(si.n, count))
     return GBuffer(
-        position=position,
+        position=rows_of(si.p, count),
         normal=normal,
         wo=wo,
         wr=wr,
@@ -128,8 +133,7 @@ def capture(mi_scene, view: View) -> GBuffer:
         specular=rows_of(material.specular, count),
         roughness=rows_of(material.roughness, count),
         uv=rows_of(si.uv, count),
-        hit=hit,
-        view=view,
+        hit=torch.ones(count, dtype=torch.bool),
     )
 
 
@@ -216,9 +220,14 @@ def facing(
     geometric: Float[torch.Tensor, "N 3"],
 ) -> tuple[Float[torch.Tensor, "N 3"], Float[torch.Tensor, "N 3"], Float[torch.Tensor, "N 3"]]:  # fmt: skip
     """The normal on the viewer's side, ``wo`` towards the viewer, and ``wr``, which is ``wo`` mirrored."""
-    wo = torch.nn.functional.normalize(torch.tensor(view.origin, dtype=torch.float32) - position, dim=1)
+    wo = towards(view, position)
     normal, wr = mirrored(wo, shading, geometric)
     return normal, wo, wr
+
+
+def towards(view: View, position: Float[torch.Tensor, "N 3"]) -> Float[torch.Tensor, "N 3"]:
+    """Unit directions from points to the viewer."""
+    return torch.nn.functional.normalize(torch.tensor(view.origin, dtype=torch.float32) - position, dim=1)
 
 
 def mirrored(

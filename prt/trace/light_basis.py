@@ -15,7 +15,7 @@ from torch import Tensor
 from prt.errors import PrtError
 from prt.light import haar
 from prt.scene.gbuffer import GBuffer
-from prt.trace.statistics import clusters
+from prt.trace.statistics import cluster_rows
 from prt.trace.transport import Transport
 
 #: least weight of a wavelet, as a share of the largest: lightings may hold what no training lighting did
@@ -59,7 +59,7 @@ def prior_weighted_basis(
     """The M patterns that lose the least of recorded transport under lightings like the given ones.
 
     Single rows are mostly Monte Carlo noise; they are averaged over clusters of points that lie close
-    together and reflect into about the same direction (:func:`prt.trace.statistics.clusters`).
+    together and reflect into about the same direction (:func:`prt.trace.statistics.cluster_rows`).
 
     Raises:
         PrtError: for more terms than there are texels.
@@ -68,7 +68,7 @@ def prior_weighted_basis(
     if not 1 <= terms <= total:
         raise PrtError(f"method.terms={terms} must be from 1 to {total}, the texels of the lighting")
     weight = prior_weights(lightings)
-    rows = cluster_rows(transport, gbuffer) * weight
+    rows = torch.cat(list(cluster_rows(transport, gbuffer, CELLS))) * weight
     # a fixed start: equal transport gives an equal basis
     with torch.random.fork_rng():
         torch.manual_seed(0)
@@ -84,16 +84,3 @@ def prior_weights(lightings: Float[Tensor, "n T 3"]) -> Float[Tensor, "T"]:
     """s_k: root mean square of the wavelet coefficients of lightings, nowhere quite zero."""
     weight = haar.forward(lightings).square().mean(dim=(0, 2)).sqrt()
     return weight.clamp(min=LEAST * float(weight.max()))
-
-
-def cluster_rows(transport: Transport, gbuffer: GBuffer) -> Float[Tensor, "3C T"]:
-    """Wavelet coefficients of mean rows, every colour a row, times the root of the points they stand for."""
-    total = 6 * transport.resolution**2
-    cluster = clusters(gbuffer, CELLS)
-    size = torch.bincount(cluster)
-    place = cluster[transport.pixel_of_sample()] * total + transport.texel
-    parts = []
-    for channel in range(3):
-        rows = torch.bincount(place, transport.weight[:, channel], minlength=len(size) * total).float()
-        parts.append(haar.forward(rows.view(len(size), total, 1))[..., 0] / size.sqrt()[:, None])
-    return torch.cat(parts)

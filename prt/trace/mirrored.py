@@ -5,7 +5,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from prt.scene.capture import rows_of
+from prt.scene.capture import rows_of, vectors
 from prt.scene.gbuffer import GBuffer
 from prt.scene.mitsuba_setup import mitsuba
 
@@ -26,10 +26,10 @@ def mirrored(mi_scene, gbuffer: GBuffer) -> tuple[Float[Tensor, "N 3"], Float[Te
         return torch.zeros((0, 3)), torch.zeros((0, 1))
     box = mi_scene.bbox()
     step = OFFSET * float(np.linalg.norm(np.array(box.max) - np.array(box.min)))
-    start = (gbuffer.position + step * gbuffer.normal).cpu().numpy().T.copy()
-    ray = mi.Ray3f(mi.Point3f(start), mi.Vector3f(gbuffer.wr.cpu().numpy().T.copy()))
+    start = vectors(mi.Point3f, gbuffer.position + step * gbuffer.normal)
+    ray = mi.Ray3f(start, vectors(mi.Vector3f, gbuffer.wr))
     hit = mi_scene.ray_intersect_preliminary(ray, coherent=False)
     valid = hit.is_valid()
-    place = dr.select(valid, ray(hit.t), mi.Point3f(start))
+    place = dr.select(valid, ray(hit.t), start)
     dr.eval(place, valid)
     return rows_of(place, count), torch.from_numpy(np.array(valid))[:, None].float()

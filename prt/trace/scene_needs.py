@@ -14,7 +14,8 @@ from prt.light import haar
 from prt.light.cubemap import texel_solid_angles
 from prt.light.sh import project
 from prt.scene.gbuffer import GBuffer
-from prt.trace.light_basis import cluster_rows, prior_weights
+from prt.trace.light_basis import CELLS, prior_weights
+from prt.trace.statistics import cluster_rows
 from prt.trace.transport import Transport
 
 #: bands of spherical harmonics that are tried
@@ -59,7 +60,7 @@ def transport_energy(
     """
     first, second = halves(transport, seed)
     weight = prior_weights(lightings)
-    rows = [cluster_rows(part, gbuffer) * weight for part in (first, second)]
+    rows = [torch.cat(list(cluster_rows(part, gbuffer, CELLS))) * weight for part in (first, second)]
     total = float((rows[0] * rows[1]).sum())
     with torch.random.fork_rng():
         torch.manual_seed(0)
@@ -72,16 +73,8 @@ def halves(transport: Transport, seed: int) -> tuple[Transport, Transport]:
     """The samples of a record in two records of half as many, of the same mean each."""
     generator = torch.Generator().manual_seed(seed)
     mine = torch.rand(len(transport.texel), generator=generator) < 0.5
-    parts = []
-    for keep in (mine, ~mine):
-        offsets = torch.cat([torch.zeros(1, dtype=torch.int64), keep.cumsum(0)])[transport.offsets]
-        parts.append(
-            dataclasses.replace(
-                transport, offsets=offsets, texel=transport.texel[keep],
-                weight=2 * transport.weight[keep], bounces=transport.bounces[keep],
-            )
-        )  # fmt: skip
-    return parts[0], parts[1]
+    doubled = dataclasses.replace(transport, weight=2 * transport.weight)
+    return doubled.samples(mine), doubled.samples(~mine)
 
 
 def surface_shares(gbuffer: GBuffer) -> dict[str, float]:

@@ -25,11 +25,10 @@ from torch import Tensor
 from prt.scene.capture import (
     first_opaque_hit,
     looked_through,
-    materials_of,
-    mirrored,
     row_numbers,
     rows_of,
     sensor_description,
+    surfaces,
     vectors,
 )
 from prt.scene.gbuffer import GBuffer
@@ -232,20 +231,7 @@ def surfaces_at(mi_scene, gbuffer: GBuffer, row):
 
 def points_of(si, count: int) -> GBuffer:
     """The G-buffer of ``count`` valid interactions, ``wo`` along their ``wi``."""
-    material = materials_of(si, count)
-    wo = rows_of(si.to_world(si.wi), count)
-    normal, wr = mirrored(wo, rows_of(material.normal, count), rows_of(si.n, count))
-    return GBuffer(
-        position=rows_of(si.p, count),
-        normal=normal,
-        wo=wo,
-        wr=wr,
-        diffuse=rows_of(material.diffuse, count),
-        specular=rows_of(material.specular, count),
-        roughness=rows_of(material.roughness, count),
-        uv=rows_of(si.uv, count),
-        hit=torch.ones(count, dtype=torch.bool),
-    )
+    return surfaces(si, count, rows_of(si.to_world(si.wi), count))
 
 
 def lit(mi_scene, si, light_samples: int | None, draws: Draws):

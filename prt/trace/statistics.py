@@ -1,5 +1,7 @@
 """What recorded transport says about the wavelets: how large their coefficients are."""
 
+from collections.abc import Iterator
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -21,17 +23,26 @@ def wavelet_scale(transport: Transport, gbuffer: GBuffer, cells: int = 12) -> Fl
         gbuffer: the points of the transport's rows.
         cells: clusters along the longest side of the points' bounding box.
     """
+    power = torch.zeros(6 * transport.resolution**2)
+    for rows in cluster_rows(transport, gbuffer, cells):
+        power += rows.square().sum(dim=0)
+    return (power / (3 * len(gbuffer))).clamp(min=1e-20).sqrt()
+
+
+def cluster_rows(transport: Transport, gbuffer: GBuffer, cells: int) -> Iterator[Float[Tensor, "C T"]]:
+    """Wavelet coefficients of the mean rows of clusters, colour by colour: all three at once are large.
+
+    A row is weighted by the root of the number of its points: its square counts as often as they do.
+    """
     wavelets = 6 * transport.resolution**2
     cluster = clusters(gbuffer, cells)
     size = torch.bincount(cluster)
     place = cluster[transport.pixel_of_sample()] * wavelets + transport.texel
-    power = torch.zeros(wavelets)
     for channel in range(3):
         rows = torch.bincount(place, transport.weight[:, channel], minlength=len(size) * wavelets).float()
-        # the sum over a cluster divided by sqrt(size): its mean, weighted by its size once squared
+        # the sum over a cluster divided by sqrt(size)
         rows = rows.view(len(size), wavelets, 1) / size.sqrt()[:, None, None]
-        power += haar.forward(rows)[:, :, 0].square().sum(dim=0)
-    return (power / (3 * len(gbuffer))).clamp(min=1e-20).sqrt()
+        yield haar.forward(rows)[:, :, 0]
 
 
 def clusters(gbuffer: GBuffer, cells: int) -> Int[Tensor, "N"]:

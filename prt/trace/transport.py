@@ -9,7 +9,7 @@ import dataclasses
 import warnings
 
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 
@@ -47,6 +47,10 @@ class Transport:
             "indirect": self.bounces >= 2,
             "full": self.bounces >= 1,
         }[name]
+        return self.samples(keep)
+
+    def samples(self, keep: Bool[Tensor, "S"]) -> "Transport":
+        """Some of the samples of every pixel."""
         offsets = torch.cat([torch.zeros(1, dtype=torch.int64), keep.cumsum(0)])[self.offsets]
         return Transport(self.resolution, offsets, self.texel[keep], self.weight[keep], self.bounces[keep])
 

@@ -253,3 +253,14 @@ def test_a_benchmarks_model_is_fitted_once(choice, capsys):
     assert torch.equal(one.net(x), two.net(x))
     run(cfg)
     assert len(folder_of(cfg).log()) == 40
+
+
+def test_a_benchmarks_model_may_be_another_runs_and_be_taken_over_in_turn(choice, monkeypatch):
+    """A folder that took over a fit is a run's like any other: it says what it is of."""
+    monkeypatch.setattr(fakes.FakeMethod, "rendering", frozenset({"sleep"}), raising=False)
+    run(compose(choice))
+    cfg = compose([*choice, "method.sleep=0.001"])
+    fitted(cfg, build_task(cfg))
+    assert folder_of(cfg).config().method.sleep == 0.001
+    assert folder_of(cfg).provenance()["fitted_by"]
+    assert run(compose([*choice, "method.sleep=0.002"])).state() == "done"
