@@ -20,6 +20,8 @@ EXAMPLES = {
         prt run scene=cornell_glossy method=wavelet_neural             one method on one scene
         prt run -m scene=cornell_glossy,kitchen seed=0,1,2             a sweep
         prt table quickstart                                           run what is missing, write the report
+        prt needs scene=kitchen lighting=hdri                          what to use, without training
+        prt select scene=kitchen "target=psnr/indirect>=26"            the smallest model that is good enough
         prt report                                                     all reports in one HTML file
         prt status                                                     what is done, failed, stopped""",
     "run": """
@@ -33,6 +35,15 @@ EXAMPLES = {
         prt table raghavan2023/table1 budget=laptop
         prt table raghavan2023/table1 --dry-run                  the runs of the grid and their states
         prt table raghavan2023/table1 launcher=slurm launcher.partition=gpu launcher.gpus=1""",
+    "select": """
+        prt select scene=kitchen method=wavelet_neural "target=psnr/indirect>=26"
+        prt select scene=kitchen "target=time/shade<=0.05"             the best that is fast enough
+        prt select "target=psnr/indirect>=26" over=method.wavelets=4,8,16,32,64
+        prt select task=relight_direct scene=teaset "target=mape/direct<=0.05" split=diffuse""",
+    "needs": """
+        prt needs scene=kitchen lighting=hdri                    wavelets, rank, shares of light, cells
+        prt needs scene=many scene.variables=7                   which variables matter
+        prt needs scene=cornell_box lighting=spots               how many patterns lightmaps have""",
     "report": """
         prt report                                               all of reports/ in one file, report.html
         prt report raghavan2023 quickstart                       some papers or tables
@@ -48,10 +59,19 @@ EXAMPLES = {
 ABOUT = {
     "run": "Run a method on a scene, or a sweep (-m). Finished runs are skipped, interrupted ones resume.",
     "table": "Regenerate a table or figure of experiments/: run what is missing, then write reports/<name>/.",
+    "needs": "Measure in minutes, without training, what a scene asks of a model; recommend method and size.",
+    "select": "Walk a method's sizes from the smallest on; answer with the first that meets a target.",
     "report": "Make one HTML file of reports/: tables, claims, charts and pictures, to open from disk.",
     "status": "List runs by state, read from their folders.",
     "score": "Recompute metrics from the stored images, without fitting anything.",
     "doctor": "Show what works on this machine, what is missing, and how to get it.",
+}
+#: commands whose words are Hydra overrides
+COMPOSED = ("run", "table", "needs", "select")
+SETTINGS = "choices and settings, see below"
+OVERRIDES = {
+    "select": "target=<figure><sign><value> (in quotes), then any of over=<setting>=a,b,c (in place of the "
+    "method's ladder), split=, quality= (psnr/indirect, what ranks rungs), report=<folder>; and " + SETTINGS,
 }
 BUG = "; this is a bug, see traceback.txt in the run folder or add --debug"
 
@@ -75,10 +95,10 @@ def parser() -> Parser:
     top.add_argument("--debug", action="store_true", help="show the traceback of an error")
     subs = top.add_subparsers(dest="command", metavar="<command>", parser_class=Parser)
     for name, about in ABOUT.items():
-        epilog = examples(name) + (groups_help() if name in ("run", "table") and wants_help() else "")
+        epilog = examples(name) + (groups_help() if name in COMPOSED and wants_help() else "")
         sub = subs.add_parser(name, help=about, description=about, formatter_class=style, epilog=epilog)
         sub.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
-        if name in ("run", "table"):
+        if name in COMPOSED:
             sub.add_argument(
                 "--conf-dir",
                 action="append",
@@ -99,10 +119,8 @@ def parser() -> Parser:
             sub.add_argument(
                 "--dry-run", action="store_true", help="list the runs and their states, run nothing"
             )
-        if name in ("run", "table"):
-            sub.add_argument(
-                "overrides", nargs="*", metavar="key=value", help="choices and settings, see below"
-            )
+        if name in COMPOSED:
+            sub.add_argument("overrides", nargs="*", metavar="key=value", help=OVERRIDES.get(name, SETTINGS))
         if name == "report":
             sub.add_argument("names", nargs="*", metavar="name", help="tables or papers (default: all)")
             sub.add_argument(
@@ -229,6 +247,20 @@ def table_command(options: argparse.Namespace) -> int:
     return table.main(options.name, options.overrides, options.dry_run) or 0
 
 
+def needs_command(options: argparse.Namespace) -> int:
+    from prt.bench import needs
+
+    add_conf_dirs(options.conf_dir)
+    return needs.main(options.overrides)
+
+
+def select_command(options: argparse.Namespace) -> int:
+    from prt.bench import select
+
+    add_conf_dirs(options.conf_dir)
+    return select.main(options.overrides)
+
+
 def report_command(options: argparse.Namespace) -> int:
     from prt.bench.html import page
 
@@ -254,8 +286,8 @@ def doctor_command(options: argparse.Namespace) -> int:
 
 
 COMMANDS = {
-    "run": run_command, "table": table_command, "report": report_command, "status": status_command,
-    "score": score_command, "doctor": doctor_command,
+    "run": run_command, "table": table_command, "needs": needs_command, "select": select_command,
+    "report": report_command, "status": status_command, "score": score_command, "doctor": doctor_command,
 }  # fmt: skip
 
 if __name__ == "__main__":

@@ -161,7 +161,8 @@ def draw(results: pd.DataFrame, layout: Layout, settings: dict, note: str = "") 
     """The chart, or None where no method has both figures.
 
     Args:
-        settings: ``x`` (``time/frame``), ``y`` (``psnr/indirect``), ``split`` (``far``).
+        settings: ``x`` (``time/frame``), ``y`` (``psnr/indirect``), ``split`` (``far``),
+            ``target`` (a value of y, drawn as a line).
         note: one line under the chart: device and threads.
     """
     import matplotlib
@@ -182,6 +183,11 @@ def draw(results: pd.DataFrame, layout: Layout, settings: dict, note: str = "") 
         for axis, scene in zip(axes, scenes, strict=False):
             here = [p for p in found if p.scene == scene]
             _panel(axis, here, looks, x, y)
+            if settings.get("target") is not None:
+                level = float(settings["target"]) * y.scale
+                axis.axhline(level, color="#333333", lw=0.9, ls=(0, (1, 2)), zorder=1)
+                axis.annotate("target", (0.99, level), xycoords=("axes fraction", "data"), ha="right",
+                              va="bottom", fontsize=6.5, color="#333333")  # fmt: skip
             for p in here:
                 figure.point(axis, p.x * x.scale, p.y * y.scale, _title(p, layout, x, y))
             axis.set_title(layout.label(scene), loc="left", fontsize=9, fontweight="bold", color="#222222")

@@ -125,6 +125,7 @@ def finish(cfg: DictConfig, chosen: dict[str, Any] | None = None, gpu: bool | No
     cfg = OmegaConf.create({key: cfg._get_node(key) for key in cfg if key not in ("hydra", "launcher")})
     with open_dict(cfg):
         cfg.task.pop("_with_", None)
+        cfg.method.pop("_ladder_", None)
     resolve(cfg, names)
     with open_dict(cfg):
         cfg.choice = names
@@ -285,4 +286,4 @@ def all_keys(cfg: DictConfig) -> list[str]:
             visit(value, prefix + str(name) + ".")
 
     visit({k: v for k, v in OmegaConf.to_container(cfg, resolve=False).items() if k != "hydra"}, "")
-    return [key for key in found if not key.endswith("_target_")]
+    return [key for key in found if not re.search(r"(^|\.)_\w+_$", key)]  # _target_, _with_, _ladder_

@@ -98,7 +98,7 @@ def views_missing(plan: Layout, images: pd.DataFrame) -> list[str]:
 def show(folder: Path, tables: list[Table], verdicts: pd.DataFrame, console: Console) -> None:
     """Print tables, verdicts and where the report lies."""
     # a pipe has no width; a table cut to 80 columns cannot be read
-    wide = console if console.is_terminal else Console(file=console.file, width=200)
+    wide = console if console.is_terminal else Console(file=console.file, width=200, quiet=console.quiet)
     for table in tables:
         wide.print(table)
     for row in verdicts[verdicts["scene"].isin(SCOPES.values())].itertuples() if len(verdicts) else ():

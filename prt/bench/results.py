@@ -16,7 +16,7 @@ from prt.bench.run_folder import METRIC_COLUMNS, RunFolder
 from prt.cache import write_atomically
 from prt.errors import PrtError
 from prt.metrics.diagnostics import diagnostic_of
-from prt.metrics.intervals import Interval, mean_interval
+from prt.metrics.intervals import Interval, mean_interval, standard_error
 from prt.metrics.registry import BAD_PIXELS, metric_of
 
 COLUMNS = [
@@ -184,11 +184,21 @@ def image_interval(values: pd.Series) -> Interval:
     grouped intervals is taken. A grouping into fewer than :data:`FEW_GROUPS` says next to nothing (Student's
     t with two groups is 13 standard errors wide) and is used only where the other one is as coarse.
     """
-    labels = sorted((list(values.index.get_level_values(i)) for i in (0, 1)), key=lambda g: -len(set(g)))
-    usable = [groups for groups in labels if len(set(groups)) >= FEW_GROUPS] or labels[:1]
-    found = [mean_interval(values.to_numpy(float), groups=groups) for groups in usable]
+    found = [mean_interval(values.to_numpy(float), groups=groups) for groups in _groupings(values)]
     known = [interval for interval in found if np.isfinite(interval.hi - interval.lo)]
     return max(known, key=lambda interval: interval.hi - interval.lo) if known else found[0]
+
+
+def image_error(values: pd.Series) -> float:
+    """Standard error of the mean of figures by (view, lighting), grouped as in :func:`image_interval`."""
+    found = [standard_error(values.to_numpy(float), groups) for groups in _groupings(values)]
+    return max((error for error in found if np.isfinite(error)), default=np.nan)
+
+
+def _groupings(values: pd.Series) -> list[list[str]]:
+    """The labels, view or lighting, by which figures are taken as one draw."""
+    labels = sorted((list(values.index.get_level_values(i)) for i in (0, 1)), key=lambda g: -len(set(g)))
+    return [groups for groups in labels if len(set(groups)) >= FEW_GROUPS] or labels[:1]
 
 
 def _cost_rows(cells: list[Cell]) -> list[dict[str, Any]]:

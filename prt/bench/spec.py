@@ -5,7 +5,7 @@ It (``experiments/<paper>/<table>.yaml``) holds only its differences from ``conf
     title: Table 1 of Raghavan et al. 2023
     grid:                        # one run for every combination; a value may carry further overrides,
       scene: [kitchen]           # as `wavelet_neural method.wavelets=16`, which then name the variant
-      method: [wavelet_neural, neural_prt]
+      method: [wavelet_neural, neural_prt]  # `neural_prt@ladder`: in all its sizes (prt.bench.ladder)
       seed: [0]
     common: [lighting=hdri, budget=laptop]      # Hydra overrides of every run
     settings: {neural_prt: [method.training.steps=5000]}    # of one method's or one scene's runs; no variant
@@ -38,6 +38,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 import prt
 from prt.bench import compose as composer
+from prt.bench import ladder
 from prt.bench.claims import Claim, parse_claims
 from prt.bench.launchers import is_launcher, split
 from prt.bench.pictures import Picture, parse_pictures
@@ -74,10 +75,11 @@ class Spec:
     curves: "list[Curve]" = field(default_factory=list)
     pictures: list[Picture] = field(default_factory=list)
     launcher: list[str] = field(default_factory=list)  #: overrides that choose and configure it
+    verb: str = "prt table"
 
     @property
     def command(self) -> str:
-        return " ".join(["prt table", self.name, *self.overrides])
+        return " ".join([self.verb, self.name, *self.overrides])
 
 
 KEYS = (
@@ -87,7 +89,7 @@ KEYS = (
 PART_KEYS = {
     "without_data": ("grid", "common"),
     "columns": ("metrics", "components", "splits", "views", "as_is"),
-    "chart": ("x", "y", "split"),
+    "chart": ("x", "y", "split", "target"),
     "figure": ("component", "split", "denoised", "rows", "columns"),
 }
 #: of every entry of a list
@@ -167,6 +169,8 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
             new = text not in common and not key.startswith(BOOKKEEPING)
             changed += [text] if new else []
             common = [c for c in common if c.partition("=")[0].lstrip("+") != key.lstrip("+")] + [text]
+    if grid.get("method"):
+        grid["method"] = ladder.expand(grid["method"], common)
     slug = "_".join(re.sub(r"[^\w.,]+", "-", text) for text in changed)
     claims = parse_claims(content.get("claims") or [], needs_split=not benchmark)
     published = content.get("published")

@@ -23,6 +23,7 @@ from prt.metrics.timing import device_name, time_repeated
 from prt.metrics.tonemap import exposure_of, to_srgb
 from prt.progress import track
 from prt.tasks.test_item import TestItem
+from prt.tasks.variable_effects import effects
 from prt.trace.surface_states import SurfaceStates
 
 NAME = "dynamic_radiosity"
@@ -166,27 +167,13 @@ def tune(task: Any, model: DynamicRadiosity, state: list[float], steps: int) -> 
 def variables(task: Any, states: int, spp: int, size: int, seed: int = 11) -> list[dict[str, Any]]:
     """How much of the image each variable changes, by path tracing, and what moving it costs.
 
-    ``change/image``: root mean square difference between the image at its start and at its end, over the mean
-    radiance, without the noise; all else in a few random states. ``time/move``: one change of this variable
+    ``change/image``: :func:`prt.tasks.variable_effects.effects`. ``time/move``: one change of this variable
     alone.
     """
-    rng = np.random.default_rng(seed)
-    names, n = task.stage.animation.names, task.dimension
-    view = task.training_views(4, size)[1]
     rows = []
-    for number, name in enumerate(track(names, "variables", n)):
-        changes = []
-        for _ in range(states):
-            low = rng.random(n)
-            high = low.copy()
-            low[number], high[number] = 0.0, 1.0
-            # two independent differences: their noise is gone from the mean of their product
-            a, b = (task.render(torch.tensor(low), view, spp, k) for k in (1, 2))
-            c, d = (task.render(torch.tensor(high), view, spp, k) for k in (1, 2))
-            square = float(((c - a).double() * (d - b).double()).mean())
-            changes.append(max(square, 0.0) ** 0.5 / (float((a + b + c + d).mean()) / 4 or 1.0))
-        rows.append(row("change/image", statistics.fmean(changes), f"variable={name}", n=states))
-        at = [np.full(n, 0.5), np.full(n, 0.5)]
+    for number, (name, change) in enumerate(effects(task, states, spp, size, seed).items()):
+        rows.append(row("change/image", change, f"variable={name}", n=states))
+        at = [np.full(task.dimension, 0.5), np.full(task.dimension, 0.5)]
         at[1][number] = 0.9
 
         def there_and_back(at: list = at) -> None:

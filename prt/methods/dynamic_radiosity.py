@@ -7,7 +7,7 @@ input, no state at all) are settings of the same method: all else is equal then.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -65,6 +65,8 @@ class DynamicRadiosity(RadianceField):
         static_state: of ``static``, one value a variable; null for 0.5 each.
         demodulate: whether a part of the output is multiplied by the albedo (ours; see
             :class:`~prt.nn.radiance_network.RadianceNetwork`).
+        ignored: names of variables that the network is not told, for they change nothing (``prt needs`` finds
+            them): no planes, no input.
         pixel_samples, fxaa, right_hand: as in :class:`~prt.methods.radiance_field.RadianceField`.
 
     Raises:
@@ -91,6 +93,7 @@ class DynamicRadiosity(RadianceField):
         right_hand: int = 0,
         static_state: list[float] | None = None,
         demodulate: bool = True,
+        ignored: Sequence[str] = (),
     ):
         super().__init__(pixel_samples, fxaa, right_hand)
         if encoding not in ENCODINGS:
@@ -105,22 +108,41 @@ class DynamicRadiosity(RadianceField):
             "direction_degree": direction_degree, "normal_degree": normal_degree, "albedo_bins": albedo_bins,
             "width": width, "hidden_layers": hidden_layers, "demodulate": bool(demodulate),
         }  # fmt: skip
-        self.training, self.static_state = training, static_state
+        self.training, self.static_state, self.ignored = training, static_state, list(ignored)
 
     # ---- the network
 
     def build(self, task: Any, device: str, seed: int = 0) -> None:
         self.stage = task.stage
-        self.net = self.network(task.bounds, task.dimension, seed).to(device)
+        self.net = self.network(task.bounds, task.dimension, seed, self.seen(task)).to(device)
         self.device = device
 
-    def network(self, bounds, dimension: int, seed: int = 0) -> RadianceNetwork:
-        """The untrained network of a box and a number of variables.
+    def seen(self, task: Any) -> list[int] | None:
+        """Numbers of the variables that are not ignored; None for all.
+
+        Raises:
+            PrtError: for a name that the scene's animation has not.
+        """
+        if not self.ignored:
+            return None
+        names = list(task.stage.animation.names)
+        for name in self.ignored:
+            if name not in names:
+                raise PrtError(
+                    f"method.ignored: the scene has no variable {name!r}; it has {', '.join(names) or 'none'}"
+                )
+        return [number for number, name in enumerate(names) if name not in self.ignored]
+
+    def network(
+        self, bounds, dimension: int, seed: int = 0, seen: list[int] | None = None
+    ) -> RadianceNetwork:
+        """The untrained network of a box and a number of variables, of which it may be told some.
 
         Raises:
             PrtError: for sizes out of range, or an encoding that cannot do that many variables.
         """
         generator = torch.Generator().manual_seed(seed)
+        dimension = dimension if seen is None else len(seen)
         settings = {"bounds": bounds, "generator": generator}
         encodings: list[torch.nn.Module] = []
         if self.encoding == "hashgrid_4d":
@@ -137,7 +159,7 @@ class DynamicRadiosity(RadianceField):
                 state = StateNetwork(dimension, **self.state, generator=generator)
         elif dimension and self.encoding == "conditioned":
             state = PlainState(dimension)
-        return RadianceNetwork(encodings, state, **self.sizes, generator=generator)
+        return RadianceNetwork(encodings, state, **self.sizes, generator=generator, seen=seen)
 
     def at(self, v: Float[Tensor, "n"]) -> StateCode:
         return self.net.at(v)

@@ -49,31 +49,49 @@ def mean_interval(
     Raises:
         PrtError: if ``confidence`` is out of range or ``groups`` has another length.
     """
-    x = np.asarray(values, dtype=np.float64).reshape(-1)
     if not 0 < confidence < 1:
         raise PrtError(f"confidence={confidence}: must lie between 0 and 1, such as 0.95")
-    if groups is not None and len(groups) != x.size:
-        raise PrtError(f"groups has {len(groups)} labels for {x.size} values; give one label a value")
+    x, member = _grouped(values, groups)
     mean = float(x.mean()) if x.size else np.nan
-    labels = range(x.size) if groups is None else groups
-    index: dict[Hashable, int] = {}
-    member = np.array([index.setdefault(label, len(index)) for label in labels], dtype=np.int64)
-    if len(index) < 2 or not np.isfinite(x).all():
+    if not _spread_known(x, member):
         return Interval(mean, np.nan, np.nan, x.size)
     sizes = np.bincount(member)
-    if len(index) < FEW:
-        lo, hi = _student(np.bincount(member, weights=x - mean), x.size, mean, confidence)
-    else:
-        lo, hi = _bootstrap(np.bincount(member, weights=x), sizes, confidence, seed)
+    if len(sizes) < FEW:
+        half = float(stats.t.ppf(0.5 + confidence / 2, len(sizes) - 1)) * _robust_error(x, member)
+        return Interval(mean, mean - half, mean + half, x.size)
+    lo, hi = _bootstrap(np.bincount(member, weights=x), sizes, confidence, seed)
     return Interval(mean, lo, hi, x.size)
 
 
-def _student(residuals: np.ndarray, n: int, mean: float, confidence: float) -> tuple[float, float]:
-    """From the groups' summed residuals: the cluster-robust variance of the mean, with G - 1 freedoms."""
+def standard_error(values: Sequence[float], groups: Sequence[Hashable] | None = None) -> float:
+    """The standard error of the mean, values that share a group counted as one draw; NaN for one group alone.
+
+    Raises:
+        PrtError: if ``groups`` has another length.
+    """
+    x, member = _grouped(values, groups)
+    return _robust_error(x, member) if _spread_known(x, member) else np.nan
+
+
+def _grouped(values: Sequence[float], groups: Sequence[Hashable] | None) -> tuple[np.ndarray, np.ndarray]:
+    """The values, and the number of each one's group."""
+    x = np.asarray(values, dtype=np.float64).reshape(-1)
+    if groups is not None and len(groups) != x.size:
+        raise PrtError(f"groups has {len(groups)} labels for {x.size} values; give one label a value")
+    index: dict[Hashable, int] = {}
+    labels = range(x.size) if groups is None else groups
+    return x, np.array([index.setdefault(label, len(index)) for label in labels], dtype=np.int64)
+
+
+def _spread_known(x: np.ndarray, member: np.ndarray) -> bool:
+    return bool(np.isfinite(x).all()) and len(np.unique(member)) > 1
+
+
+def _robust_error(x: np.ndarray, member: np.ndarray) -> float:
+    """Root of the cluster-robust variance of the mean."""
+    residuals = np.bincount(member, weights=x - x.mean())
     count = residuals.size
-    error = np.sqrt(count / (count - 1) * np.sum(residuals**2)) / n
-    half = float(stats.t.ppf(0.5 + confidence / 2, count - 1) * error)
-    return mean - half, mean + half
+    return float(np.sqrt(count / (count - 1) * np.sum(residuals**2)) / x.size)
 
 
 def _bootstrap(sums: np.ndarray, sizes: np.ndarray, confidence: float, seed: int) -> tuple[float, float]:

@@ -73,6 +73,7 @@ class RadianceNetwork(torch.nn.Module):
         albedo_bins: of the one-blob encoding of each channel of the albedo.
         width, hidden_layers: of the decoder; the paper has 256 and 4.
         scale: the radiance that the output's unit stands for.
+        seen: numbers of the variables that the network is told; all by default.
         demodulate: whether the decoder gives two colours, one that the albedo multiplies and one as it is.
             The paper has one, and the albedo as an input alone: textures and walls that change colour then
             have to be learnt.
@@ -90,9 +91,10 @@ class RadianceNetwork(torch.nn.Module):
         scale: float = 1.0,
         demodulate: bool = True,
         generator: torch.Generator | None = None,
+        seen: list[int] | None = None,
     ):
         super().__init__()
-        self.demodulate = bool(demodulate)
+        self.demodulate, self.seen = bool(demodulate), seen
         if hidden_layers < 1:
             raise PrtError(f"method.hidden_layers={hidden_layers} must be at least 1")
         self.encodings, self.state = torch.nn.ModuleList(encodings), state
@@ -108,8 +110,13 @@ class RadianceNetwork(torch.nn.Module):
         """Once per state; differentiable."""
         return StateCode(self.lines(v), self.bias(v))
 
+    def told(self, v: Float[Tensor, "n"]) -> Float[Tensor, "m"]:
+        """The values of the variables that are seen."""
+        return v if self.seen is None else v[self.seen]
+
     def lines(self, v: Float[Tensor, "n"]) -> list:
         """What the encodings need of a state; None for one that knows nothing of it."""
+        v = self.told(v)
         return [e.at(v) if hasattr(e, "at") else None for e in self.encodings]  # pyright: ignore
 
     def bias(self, v: Float[Tensor, "n"]) -> Float[Tensor, "W"]:
@@ -117,7 +124,7 @@ class RadianceNetwork(torch.nn.Module):
         first = self.decoder.layers[0]
         if self.state is None:
             return first.bias  # pyright: ignore
-        return first.bias + first.weight[:, self.inputs :] @ self.state(v)
+        return first.bias + first.weight[:, self.inputs :] @ self.state(self.told(v))
 
     def places(self, position: Float[Tensor, "N 3"], lines: list) -> list[Tensor]:
         """Features of positions, one entry an encoding."""

@@ -140,6 +140,13 @@ class LocalLights:
         asset = self.asset
         return Database(rigs, torch.stack(maps), asset.covered, asset.fill, asset.size, seconds)
 
+    def baked_twice(
+        self, rig: LightRig, spp: int, seed: int
+    ) -> tuple[Float[Tensor, "C 3"], Float[Tensor, "C 3"]]:
+        """A configuration's lightmap with two seeds, not denoised: what they share is no noise."""
+        first, second = (self._lightmap(rig, spp, 2 * seed + half, False)[0] for half in (0, 1))
+        return first, second
+
     def _lightmap(self, rig: LightRig, spp: int, seed: int, filtered: bool) -> tuple[Tensor, float]:
         settings = {
             "asset": self._fingerprint, "rig": rig.fingerprint(), "spp": spp, "seed": seed,

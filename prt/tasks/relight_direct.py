@@ -145,6 +145,20 @@ class RelightDirect:
         """
         if self._order != "auto":
             return int(self._order)
+        errors = self.band_errors()
+        enough = fewest(errors, self.order_target)
+        if enough is None:
+            best = min(errors, key=lambda order: errors[order])
+            raise PrtError(
+                f"task.order=auto: no number of bands up to {MOST_BANDS} meets task.order_target="
+                f"{self.order_target}; the best, {best}, has {errors[best]:.3g}; raise the target or set "
+                "task.order"
+            )
+        return enough
+
+    @functools.cache  # noqa: B019
+    def band_errors(self) -> dict[int, float]:
+        """Relative error of so many bands in a few small training views, the larger one of both materials."""
         _, lightings = self.lighting.train()
         views = self.scene.views("train", CHOICE_VIEWS, CHOICE_SIZE)
         seen = [(self.surface.capture(view), lightings[i % len(lightings)]) for i, view in enumerate(views)]
@@ -156,15 +170,7 @@ class RelightDirect:
                 self.windowing, CHOICE_SEED,
             )  # fmt: skip
             errors = {order: max(error, errors.get(order, 0.0)) for order, error in found.items()}
-        enough = fewest(errors, self.order_target)
-        if enough is None:
-            best = min(errors, key=lambda order: errors[order])
-            raise PrtError(
-                f"task.order=auto: no number of bands up to {MOST_BANDS} meets task.order_target="
-                f"{self.order_target}; the best, {best}, has {errors[best]:.3g}; raise the target or set "
-                "task.order"
-            )
-        return enough
+        return errors
 
     # ---- what a method may learn from
 

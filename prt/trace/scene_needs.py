@@ -34,9 +34,17 @@ def fewest(kept: Float[Tensor, "n"], loss: float) -> int | None:
     return int(enough[0]) + 1 if len(enough) else None
 
 
-def wavelet_energy(lightings: Float[Tensor, "n 6 R R 3"]) -> Float[Tensor, "T"]:
-    """Mean share of a lighting's energy in its so many largest wavelets."""
+def wavelet_energy(
+    lightings: Float[Tensor, "n 6 R R 3"], scale: Float[Tensor, "T"] | None = None
+) -> Float[Tensor, "T"]:
+    """Mean share of a lighting's energy in its so many largest wavelets.
+
+    Args:
+        scale: of transport at every wavelet; energy is then that of what the transport makes of the lighting.
+    """
     squares = haar.forward(lightings).flatten(1, 3).square().sum(dim=2)
+    if scale is not None:
+        squares = squares * scale.square()
     kept = squares.sort(dim=1, descending=True).values.cumsum(dim=1)
     return (kept / kept[:, -1:].clamp(min=1e-30)).mean(dim=0)
 
@@ -61,11 +69,16 @@ def transport_energy(
     first, second = halves(transport, seed)
     weight = prior_weights(lightings)
     rows = [torch.cat(list(cluster_rows(part, gbuffer, CELLS))) * weight for part in (first, second)]
-    total = float((rows[0] * rows[1]).sum())
+    return shared_energy(*rows)
+
+
+def shared_energy(first: Float[Tensor, "N T"], second: Float[Tensor, "N T"]) -> Float[Tensor, "M"]:
+    """Share of the energy common to two noisy copies of the same rows in its so many best patterns."""
+    total = float((first * second).sum())
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        _, _, vectors = torch.svd_lowrank(rows[0], min(TERMS, *rows[0].shape), niter=PASSES)
-    products = ((rows[0] @ vectors) * (rows[1] @ vectors)).sum(dim=0)
+        _, _, vectors = torch.svd_lowrank(first, min(TERMS, *first.shape), niter=PASSES)
+    products = ((first @ vectors) * (second @ vectors)).sum(dim=0)
     return (products.cumsum(0) / total).clamp(max=1.0)
 
 
