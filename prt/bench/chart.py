@@ -296,10 +296,16 @@ def _legend(found: list[Point], looks: dict, layout: Layout) -> list[Line2D]:
     return handles
 
 
-def write(figure: HoverFigure, folder: Path) -> None:
-    """``chart.svg`` and ``chart.png``; the same bytes for the same figures."""
+def write(figure: HoverFigure, folder: Path, name: str = "chart", creator: str | None = None) -> None:
+    """``<name>.svg`` and ``<name>.png``; the same bytes for the same figures.
+
+    Args:
+        creator: what the SVG says it was made by; matplotlib's own words where nothing is given.
+    """
     import matplotlib
 
     with matplotlib.rc_context(STYLE):
-        figure.save_svg(folder / "chart.svg", metadata={"Date": None})
-        figure.savefig(folder / "chart.png", dpi=170, metadata={"Software": None})
+        figure.save_svg(
+            folder / f"{name}.svg", metadata={"Date": None, **({"Creator": creator} if creator else {})}
+        )
+        figure.savefig(folder / f"{name}.png", dpi=170, metadata={"Software": None})

@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from prt.bench.chart import COLOURS, MARKERS, STYLE, label_log
+from prt.bench.chart import COLOURS, MARKERS, STYLE, label_log, write
 from prt.bench.curves import LINE_STYLES, Curve, Line, axis_key, lines
 from prt.bench.hover import HoverFigure, says
 from prt.bench.layout import Layout, split_name
@@ -177,25 +177,16 @@ def write_all(
             wanted = " or ".join(map(axis_key, curve.y))
             notes.append(f"no curves {curve.file}: no results have {curve.x}=... and {wanted}")
         else:
-            write(figure, folder, curve.file)
+            write(figure, folder, curve.file, MARK)
     return notes
 
 
 def remove_old(folder: Path) -> None:
-    """Remove what :func:`write` left in the folder, whatever it was called, and nothing else."""
+    """Remove what :func:`write_all` left in the folder, whatever it was called, and nothing else."""
     for path in folder.glob("*.svg"):
         if MARK in path.read_text(errors="replace")[:2000]:
             path.unlink()
             path.with_suffix(".png").unlink(missing_ok=True)
-
-
-def write(figure: HoverFigure, folder: Path, file: str) -> None:
-    """``<file>.svg`` and ``<file>.png``; the same bytes for the same figures."""
-    import matplotlib
-
-    with matplotlib.rc_context(STYLE):
-        figure.save_svg(folder / f"{file}.svg", metadata={"Date": None, "Creator": MARK})
-        figure.savefig(folder / f"{file}.png", dpi=170, metadata={"Software": None})
 
 
 def markdown(curves: Sequence[Curve], folder: Path) -> list[str]:

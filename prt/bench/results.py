@@ -17,7 +17,7 @@ from prt.cache import write_atomically
 from prt.errors import PrtError
 from prt.metrics.diagnostics import diagnostic_of
 from prt.metrics.intervals import Interval, mean_interval, standard_error
-from prt.metrics.registry import BAD_PIXELS, metric_of
+from prt.metrics.registry import BAD_PIXELS, METRICS, metric_of
 
 COLUMNS = [
     "scene", "method", "variant", "budget", "device", "split", "component", "metric",
@@ -166,9 +166,20 @@ def summarise(cells: list[Cell], images: pd.DataFrame, published: pd.DataFrame |
         if values.notna().all():
             row["value"], row["lo"], row["hi"], _ = image_interval(values)
         rows.append(row)
+        rows += _spread(group, key)
     rows += _cost_rows(cells)
     table = pd.DataFrame(rows, columns=COLUMNS)
     return merge_published(table, published)
+
+
+def _spread(figures: pd.DataFrame, key: Any) -> list[dict[str, Any]]:
+    """How far the mean over images differs from seed to seed; nothing where there is one seed."""
+    means = figures.groupby("seed")["value"].agg(lambda v: v.mean(skipna=False))
+    place = dict(zip(KEYS, key, strict=True))
+    if len(means) < 2 or place["metric"] not in METRICS:
+        return []
+    metric = f"spread/{place['metric']}"
+    return [place | {"metric": metric, "value": float(means.std()), "n": len(means), "seeds": len(means)}]
 
 
 def over_seeds(figures: pd.DataFrame) -> pd.Series:

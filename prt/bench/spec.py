@@ -24,7 +24,8 @@ It (``experiments/<paper>/<table>.yaml``) holds only its differences from ``conf
 ``columns.splits`` are the task's own (by default all that were measured); ``columns.views`` keeps only the
 test items of these views in tables, chart, curves and claims (``frame*`` for all that begin so).
 
-A YAML with ``benchmark: {_target_: ...}`` measures instead of running methods: ``prt.bench.benchmark``.
+A YAML with ``benchmark: {_target_: ...}`` measures instead of running methods: ``prt.bench.benchmark``; one
+with ``matrix`` gathers figures of other reports: ``prt.bench.matrix``.
 """
 
 import re
@@ -241,6 +242,11 @@ def find(name: str) -> Path:
     ]
     known = list(dict.fromkeys(known))
     raise PrtError(f"no table {name!r}{composer.near(name, known)}; choose from {', '.join(known) or 'none'}")
+
+
+def has_matrix(path: Path) -> bool:
+    """Whether a YAML is a matrix of failures, which reads reports and runs nothing (prt.bench.matrix)."""
+    return any(line.startswith("matrix:") for line in path.read_text(encoding="utf-8").splitlines())
 
 
 def _listed(value: Any) -> list:

@@ -19,7 +19,7 @@ from prt.bench import run as runner
 from prt.bench.cost import Cost, Watch, clock
 from prt.bench.layout import Layout
 from prt.bench.results import Cell
-from prt.bench.spec import Spec, load_spec
+from prt.bench.spec import Spec, find, has_matrix, load_spec
 from prt.cache import write_atomically
 from prt.errors import PrtError
 from prt.metrics.registry import METRICS
@@ -173,6 +173,11 @@ def main(name: str, overrides: Sequence[str] = (), dry_run: bool = False) -> int
     Returns 1 where some run failed or its worker died, else 0. Raises PrtError for a mistake in the YAML or
     the overrides.
     """
+    path = find(name)
+    if has_matrix(path):
+        from prt.bench import matrix_report
+
+        return matrix_report.main(name, path, list(overrides))
     spec = load_spec(name, overrides)
     if spec.benchmark:
         from prt.bench import benchmark

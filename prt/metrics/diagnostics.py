@@ -68,6 +68,8 @@ _ALL = (
     Diagnostic("layers/", "layers", "lower", "", True, "Hidden layers of a network."),
     Diagnostic("seam/", "seam", "lower", "", True,
                "Difference of two neighbouring networks at their boundary, over the root mean square there."),
+    Diagnostic("spread/", "spread over seeds", "lower", "", False,
+               "Standard deviation over seeds of the mean over test images."),
     Diagnostic("steps/", "steps", "lower", "", True, "Steps of training."),
     Diagnostic("change/", "change", "higher", "", True,
                "Root mean square difference of two path-traced images without their noise, over their mean."),

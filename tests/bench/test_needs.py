@@ -23,7 +23,7 @@ SCENE = """<scene version="3.0.0">
     <rotate x="1" angle="-90"/><translate y="-1"/></transform>
     <bsdf type="diffuse"><rgb name="reflectance" value="0.5"/></bsdf></shape>
   <shape type="cube" id="Box"><transform name="to_world"><scale value="0.6"/><translate y="-0.4"/></transform>
-    <bsdf type="twosided"><bsdf type="diffuse"><rgb name="reflectance" value="0.4, 0.2, 0.2"/></bsdf></bsdf></shape>
+    <bsdf type="diffuse"><rgb name="reflectance" value="0.4, 0.2, 0.2"/></bsdf></shape>
   <shape type="sphere" id="Hidden"><float name="radius" value="0.1"/><transform name="to_world">
     <translate y="-0.4"/></transform><bsdf type="diffuse"/></shape>
   <shape type="rectangle" id="Lamp"><transform name="to_world"><rotate x="1" angle="90"/>
@@ -76,7 +76,10 @@ def test_of_a_relighting_task(tiny_task, monkeypatch):
     monkeypatch.setattr(needs, "SIZE", 16)
     monkeypatch.setattr(needs, "SPP", 16)
     found = {need.name: need for need in measure(tiny_task)}
-    assert 0 < found["share/indirect"].value < 1 and 0 <= found["share/mirror"].value <= found["share/glossy"].value
+    assert (
+        0 < found["share/indirect"].value < 1
+        and 0 <= found["share/mirror"].value <= found["share/glossy"].value
+    )
     assert found["transport/wavelets"].value <= found["lighting/wavelets"].value, "fine wavelets reach little"
     assert 1 <= found["transport/rank"].value and found["surface/cells"].value > 4
     words = [a.override for a in advise("relight_indirect", list(found.values()))]
