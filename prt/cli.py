@@ -44,6 +44,12 @@ EXAMPLES = {
         prt needs scene=kitchen lighting=hdri                    wavelets, rank, shares of light, cells
         prt needs scene=many scene.variables=7                   which variables matter
         prt needs scene=cornell_box lighting=spots               how many patterns lightmaps have""",
+    "view": """
+        prt view runs/relight_indirect/kitchen/wavelet_neural/0123456789
+        prt view runs/.../wavelet_neural/... runs/.../neural_prt/...   two beside each other""",
+    "export": """
+        prt export runs/relight_indirect/kitchen/wavelet_neural/0123456789     the environment turns
+        prt export runs/... --kind turntable --frames 96 --size 512 --formats mp4,exr""",
     "report": """
         prt report                                               all of reports/ in one file, report.html
         prt report raghavan2023 quickstart                       some papers or tables
@@ -62,6 +68,8 @@ ABOUT = {
     "needs": "Measure in minutes, without training, what a scene asks of a model; recommend method and size.",
     "select": "Walk a method's sizes from the smallest on; answer with the first that meets a target.",
     "report": "Make one HTML file of reports/: tables, claims, charts and pictures, to open from disk.",
+    "view": "Look at finished runs in the browser: move the camera, the light, the scene's variables.",
+    "export": "Render a finished run as a turntable or a relighting sequence: PNG, EXR, MP4.",
     "status": "List runs by state, read from their folders.",
     "score": "Recompute metrics from the stored images, without fitting anything.",
     "doctor": "Show what works on this machine, what is missing, and how to get it.",
@@ -126,6 +134,24 @@ def parser() -> Parser:
             sub.add_argument(
                 "--output", default="report.html", type=Path, metavar="FILE", help="default: report.html"
             )
+        if name == "view":
+            sub.add_argument(
+                "runs", nargs="+", type=Path, metavar="run", help="folders of one or two finished runs"
+            )
+            sub.add_argument("--port", default=8080, type=int, help="default: 8080; 0 for any")
+            sub.add_argument("--host", default="127.0.0.1", help="0.0.0.0 to be seen from other machines")
+            sub.add_argument("--component", default=None, help="full, indirect or direct")
+            sub.add_argument("--size", default=384, type=int, help="pixels of a still picture's height")
+        if name == "export":
+            sub.add_argument("run", type=Path, help="folder of a finished run")
+            sub.add_argument("--kind", default="relight", help="relight (default) or turntable")
+            sub.add_argument("--frames", default=48, type=int)
+            sub.add_argument("--size", default=256, type=int, help="pixels a side")
+            sub.add_argument("--fps", default=24, type=int, help="frames a second of the MP4")
+            sub.add_argument("--formats", default="png,mp4", help="any of png, exr, mp4 (default: png,mp4)")
+            sub.add_argument("--lighting", default=None, help="name of a test lighting (default: the first)")
+            sub.add_argument("--component", default=None, help="full, indirect or direct")
+            sub.add_argument("--output", default=None, type=Path, help="default: export/ in the run")
         if name == "status":
             sub.add_argument("--folder", default="runs", type=Path, help="where to look (default: runs)")
         if name == "score":
@@ -267,6 +293,21 @@ def report_command(options: argparse.Namespace) -> int:
     return page.main(options.names, options.output)
 
 
+def view_command(options: argparse.Namespace) -> int:
+    from prt.bench import viewer
+
+    return viewer.main(options.runs, options.port, options.size, options.host, options.component)
+
+
+def export_command(options: argparse.Namespace) -> int:
+    from prt.bench import export
+
+    return export.main(
+        options.run, options.kind, options.frames, options.size, options.fps, options.formats.split(","),
+        options.output, options.component, options.lighting,
+    )  # fmt: skip
+
+
 def status_command(options: argparse.Namespace) -> int:
     from prt.bench import status
 
@@ -286,9 +327,17 @@ def doctor_command(options: argparse.Namespace) -> int:
 
 
 COMMANDS = {
-    "run": run_command, "table": table_command, "needs": needs_command, "select": select_command,
-    "report": report_command, "status": status_command, "score": score_command, "doctor": doctor_command,
-}  # fmt: skip
+    "run": run_command,
+    "table": table_command,
+    "needs": needs_command,
+    "select": select_command,
+    "view": view_command,
+    "export": export_command,
+    "report": report_command,
+    "status": status_command,
+    "score": score_command,
+    "doctor": doctor_command,
+}
 
 if __name__ == "__main__":
     sys.exit(main())

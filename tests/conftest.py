@@ -45,6 +45,6 @@ def tiny_task(maps, warm_cache):
         task.training(), task.tests()
         yield task
     finally:
-        os.environ.pop("PRT_CACHE")
+        os.environ.pop("PRT_CACHE", None)
         if before is not None:
             os.environ["PRT_CACHE"] = before

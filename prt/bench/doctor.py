@@ -26,6 +26,8 @@ EXTRAS = {
         "hydra-submitit-launcher",
         "pip install 'prt[submitit]' (launcher=local, slurm: runs as processes, or on Slurm)",
     ),
+    "viser": ("viser", "pip install 'prt[view]' (prt view: runs in the browser)"),
+    "imageio_ffmpeg": ("imageio-ffmpeg", "pip install 'prt[export]' (prt export: MP4)"),
     "torchvision": ("torchvision", "pip install torchvision lpips (LPIPS weights without PRT_DATA)"),
 }
 #: folders of PRT_DATA and what they serve

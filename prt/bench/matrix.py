@@ -176,7 +176,7 @@ def _figure(results: pd.DataFrame, at: dict[str, Any], place: tuple[str, str], w
     if len(rows) > 1:
         raise wrong(
             f"cell {place[0]}/{place[1]}: {len(rows)} rows of {at} are meant; name "
-            f"{', '.join(key for key in KEYS if key not in at and rows[key].nunique() > 1) or 'more'}"
+            f"{', '.join(key for key in KEYS if key not in at and len(set(rows[key])) > 1) or 'more'}"
         )
     return float(rows["value"].iloc[0]) if len(rows) else math.nan
 

@@ -296,6 +296,15 @@ class RelightDirect:
     def _reference_texture(self, half: int, directions: int) -> Float[Tensor, "T K"]:
         return self.texture(REFERENCE_SEED + 2 * self.seed + half, directions)
 
+    def truth(
+        self, gbuffer: GBuffer, lighting: Float[Tensor, "6 R R 3"], samples: int, seed: int
+    ) -> Float[Tensor, "N 3"]:
+        """Ray-traced radiance of the points of a dressed G-buffer, under the whole lighting."""
+        return direct_light(
+            self.surface, gbuffer.position, gbuffer.normal, gbuffer.wr, gbuffer.diffuse, gbuffer.specular,
+            sh_shading.exponent_of(gbuffer.roughness), lighting, samples, seed,
+        )  # fmt: skip
+
     def _truth(self, gbuffer: GBuffer, lighting: Tensor, half: int, material: str) -> Float[Tensor, "N 3"]:
         settings = {
             "surface": self.surface.fingerprint(), "view": dataclasses.asdict(gbuffer.view), "half": half,  # pyright: ignore
@@ -304,12 +313,8 @@ class RelightDirect:
         }  # fmt: skip
 
         def build() -> dict[str, Tensor]:
-            radiance = direct_light(
-                self.surface, gbuffer.position, gbuffer.normal, gbuffer.wr, gbuffer.diffuse, gbuffer.specular,
-                sh_shading.exponent_of(gbuffer.roughness), lighting, max(self.truth_samples // 2, 2),
-                REFERENCE_SEED + 2 * self.seed + half,
-            )  # fmt: skip
-            return {"radiance": radiance}
+            seed = REFERENCE_SEED + 2 * self.seed + half
+            return {"radiance": self.truth(gbuffer, lighting, max(self.truth_samples // 2, 2), seed)}
 
         return cached("direct", TRUTH_VERSION, settings, build)["radiance"]
 
