@@ -127,14 +127,15 @@ def make_sheets(spec: "Spec", plan: Layout, results: pd.DataFrame, reasons: dict
 def draw_pictures(spec, plan, cells, images, results, references) -> list[str]:
     """Write chart, curves and figure; returns notes of what is missing in them; removes old ones."""
     folder = spec.report
-    for name in ("chart.svg", "chart.png", "figure.png", "figure.json"):
-        (folder / name).unlink(missing_ok=True)
+    for path in [*folder.glob("chart*.svg"), *folder.glob("chart*.png"), *folder.glob("figure.*")]:
+        path.unlink()
     notes = []
-    drawn = chart.draw(results, plan, spec.chart, chart_note(cells))
-    if drawn is not None:
-        chart.write(drawn, folder)
-    elif spec.chart or "indirect" in plan.components:  # the default chart's
-        notes.append("no chart: no finished run has both of its figures")
+    for name, settings in charts_of(spec).items():
+        drawn = chart.draw(results, plan, settings, chart_note(cells))
+        if drawn is not None:
+            chart.write(drawn, folder, name)
+        elif settings or "indirect" in plan.components:  # the default chart's
+            notes.append(f"no {name}: no finished run has both of its figures")
     notes += curve_charts.write_all(spec.curves, results, plan, folder, plan.splits[0])
     notes += pictures.missing(spec.pictures, folder)
     if references is not None and spec.figure is not None:
@@ -144,6 +145,11 @@ def draw_pictures(spec, plan, cells, images, results, references) -> list[str]:
         if picture is not None:
             figure.write(picture, folder)
     return notes
+
+
+def charts_of(spec: "Spec") -> dict[str, dict]:
+    """Every speed-accuracy chart of a table by the name of its files."""
+    return {"chart": spec.chart} | {f"chart_{entry['file']}": entry for entry in spec.charts}
 
 
 def chart_note(cells: list[Cell]) -> str:
@@ -166,8 +172,8 @@ def describe(spec, plan: Layout, cells, results, verdicts, reasons, sheets, note
     folder = spec.report
     if (folder / "figure.png").exists():
         parts.append("![Reference, methods and error maps](figure.png)")
-    if (folder / "chart.svg").exists():
-        parts.append("![Speed against accuracy](chart.svg)")
+    names = [name for name in charts_of(spec) if (folder / f"{name}.svg").exists()]
+    parts += [f"![Speed against accuracy]({name}.svg)" for name in names]
     parts += curve_charts.markdown(spec.curves, folder) + pictures.markdown(spec.pictures, folder)
     parts += [
         layout.to_markdown(sheets[0]).strip(),

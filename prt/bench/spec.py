@@ -14,6 +14,7 @@ It (``experiments/<paper>/<table>.yaml``) holds only its differences from ``conf
     published: published/table1.csv             # beside the YAML
     claims: ["wavelet_neural > neural_prt on psnr/indirect, far, every scene"]
     chart: {x: time/frame, y: psnr/indirect}
+    charts: [{file: size, x: bytes/model, y: psnr/indirect}]      # further ones: chart_size.svg
     figure:                      # rows may also have split, component, label, crops
       component: indirect
       columns: ["neural_prt", "wavelet_neural[wavelets=16]"]      # by default all
@@ -77,6 +78,7 @@ class Spec:
     pictures: list[Picture] = field(default_factory=list)
     launcher: list[str] = field(default_factory=list)  #: overrides that choose and configure it
     verb: str = "prt table"
+    charts: list[dict[str, Any]] = field(default_factory=list)  #: further ones, each with its ``file``
 
     @property
     def command(self) -> str:
@@ -85,7 +87,7 @@ class Spec:
 
 KEYS = (
     "title", "about", "grid", "common", "settings", "columns", "labels", "published", "claims", "chart",
-    "figure", "curves", "pictures", "benchmark", "without_data",
+    "charts", "figure", "curves", "pictures", "benchmark", "without_data",
 )  # fmt: skip
 PART_KEYS = {
     "without_data": ("grid", "common"),
@@ -97,6 +99,7 @@ PART_KEYS = {
 ENTRY_KEYS = {
     "figure.rows": ("scene", "split", "view", "lighting", "component", "denoised", "label", "crops"),
     "pictures": ("file", "caption"),
+    "charts": ("file", "x", "y", "split", "target"),
 }
 
 
@@ -174,6 +177,10 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
         grid["method"] = ladder.expand(grid["method"], common)
     slug = "_".join(re.sub(r"[^\w.,]+", "-", text) for text in changed)
     claims = parse_claims(content.get("claims") or [], needs_split=not benchmark)
+    charts = content.get("charts") or []
+    for entry in charts:
+        if not re.fullmatch(r"\w+", str(entry.get("file", ""))):
+            raise PrtError(f"{path}: charts: file={entry.get('file')!r} must be a plain word")
     published = content.get("published")
     columns = {key: [str(v) for v in _listed(value)] for key, value in (content.get("columns") or {}).items()}
     return Spec(
@@ -183,7 +190,7 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
         path.parent / published if published else None,
         claims, content.get("chart") or {}, content.get("figure") or {}, benchmark,
         named_settings(path, content.get("settings") or {}, grid),
-        *drawn(path, content), launcher,
+        *drawn(path, content), launcher, charts=charts,
     )  # fmt: skip
 
 
