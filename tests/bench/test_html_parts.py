@@ -57,6 +57,14 @@ def test_without_reports_it_says_how_to_get_one(tmp_path, monkeypatch, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_links_to_reports_stay_and_others_are_words():
+    text = "[x 4](../../su2024/stability/report.md) and [here](results.csv), [there](http://a.b/c/report.md)"
+    assert markdown.spans(text) == [
+        ["link", "x 4", "su2024/stability"], " and ", "here", ", ", "there",
+    ]  # fmt: skip
+    assert markdown.plain(markdown.spans(text)) == "x 4 and here, there"
+
+
 def test_markdown_becomes_blocks_of_spans():
     found = markdown.blocks(
         "# T\n\nOne `a|b` and **c** *d* x*y*z\nline two [words](file.md).\n\n"

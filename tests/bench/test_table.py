@@ -78,6 +78,7 @@ def test_curves_pictures_and_views_of_a_report(spec, tmp_path):
 columns: {views: [lightmap, elsewhere], as_is: neural_prt}
 claims: ["neural_prt[basis=16] > neural_prt[basis=4] on psnr/indirect, same, every scene"]
 curves: [{file: error, x: basis, y: psnr/indirect, log: [x]}]
+charts: [{file: size, x: bytes/model, y: psnr/indirect, split: same}]
 pictures: [{file: parts.png, caption: Its parts}, {file: gone.png}]
 """
     )
@@ -91,7 +92,9 @@ pictures: [{file: parts.png, caption: Its parts}, {file: gone.png}]
     spec.report.mkdir(parents=True)
     (spec.report / "parts.png").write_bytes(b"drawn by somebody")
     files = write(spec, cells)
-    assert {"error.svg", "error.png", "parts.png"} <= set(files) and write(spec, cells) == files
+    drawn = {"error.svg", "error.png", "parts.png", "chart_size.svg", "chart_size.png"}
+    assert drawn <= set(files) and write(spec, cells) == files
+    assert b"model size" in files["chart_size.svg"] or b"MB" in files["chart_size.svg"]
     results = read_results(spec.report / "results.csv")
     assert set(results["split"]) == {"same", "points", ""} and set(
         results.loc[results.metric == "psnr", "n"]
@@ -99,7 +102,7 @@ pictures: [{file: parts.png, caption: Its parts}, {file: gone.png}]
     text = files["report.md"].decode()
     # splits that were measured, without being asked for
     assert "Box, same lights" in text and "Box, point lights" in text and "far views" not in text
-    assert "![error](error.svg)" in text and "![Its parts](parts.png)" in text
+    assert "(chart_size.svg)" in text and "![error](error.svg)" in text and "![Its parts](parts.png)" in text
     assert "no finished run has a view 'elsewhere'; there are lightmap, frame00" in text
     assert "no picture gone.png: it was not written" in text and "Only test items with these views" in text
     assert text.count("✔ holds") == 3

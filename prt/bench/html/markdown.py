@@ -2,7 +2,8 @@
 
 Only what :mod:`prt.bench.report`, ``layout`` and ``benchmark`` write is understood; all else is text.
 
-A span is a text, or ``[kind, text]`` of kind ``b``, ``i`` or ``code``. A block is a dictionary, ``kind`` and
+A span is a text, ``[kind, text]`` of kind ``b``, ``i`` or ``code``, or ``["link", text, name]`` to a report.
+A block is a dictionary, ``kind`` and
 
     h      level, text
     p      spans
@@ -17,7 +18,11 @@ from typing import Any
 Span = str | list[str]
 Block = dict[str, Any]
 
-_INLINE = re.compile(r"`([^`]+)`|\*\*(.+?)\*\*|(?<![\w*])\*([^*\s][^*]*)\*(?![\w*])|\[([^\]]*)\]\([^)\s]*\)")
+_INLINE = re.compile(
+    r"`([^`]+)`|\*\*(.+?)\*\*|(?<![\w*])\*([^*\s][^*]*)\*(?![\w*])|\[([^\]]*)\]\(([^)\s]*)\)"
+)
+#: what leads to another report
+_REPORT = re.compile(r"(?:\.\./)+([\w.-]+(?:/[\w.-]+)*)/report\.md")
 _IMAGE = re.compile(r"!\[([^\]]*)\]\(([^)\s]+)\)")
 _RULE = re.compile(r"\|?(\s*:?-+:?\s*\|)+\s*(:?-+:?)?\s*")
 
@@ -73,14 +78,15 @@ def cells(line: str) -> list[str]:
 
 
 def spans(text: str) -> list[Span]:
-    """A text with its emphasis; of a link only its words stay, for what it leads to is not in the page."""
+    """A text with its emphasis; of a link to anything but a report only the words stay."""
     found: list[Span] = []
     at = 0
     for match in _INLINE.finditer(text):
         found += [text[at : match.start()]] if match.start() > at else []
-        code, bold, italic, link = match.groups()
+        code, bold, italic, link, target = match.groups()
         if link is not None:
-            found.append(link)
+            report = _REPORT.fullmatch(target)
+            found.append(["link", link, report[1]] if report else link)
         else:
             found.append(["code", code] if code else ["b", bold] if bold else ["i", italic])
         at = match.end()

@@ -3,7 +3,13 @@
 const EMPHASIS = {b: "b", i: "em", code: "code"};
 
 function inline(spans) {
-  return spans.map(span => typeof span === "string" ? span : el(EMPHASIS[span[0]] ?? "span", span[1]));
+  return spans.map(span => typeof span === "string" ? span : span[0] === "link" ? linked(span)
+    : el(EMPHASIS[span[0]] ?? "span", span[1]));
+}
+
+/** A link to another report, where this page has it. */
+function linked([, text, name]) {
+  return data("index").some(entry => entry.name === name) ? el("a", {href: address(name)}, text) : text;
 }
 
 function prose(blocks) {
