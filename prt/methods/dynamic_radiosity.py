@@ -233,14 +233,19 @@ class DynamicRadiosity(RadianceField):
         )  # fmt: skip
 
     def optimiser(self, factor: float = 1.0) -> torch.optim.Optimizer:
-        """Adam with a rate for grids and planes and one for the rest, both times ``factor``."""
-        features = [p for e in self.net.encodings for p in e.parameters()]
-        known = {id(p) for p in features}
+        """Adam with a rate for grids and planes and one for the rest, both times ``factor``.
+
+        Where planes are multiplied, all of them step at once: with the rate of a sum, a product of 325
+        (K-planes of 23 variables) grows without bound. More factors than the three of space share their rate.
+        """
+        groups, known = [], set()
+        for encoding in self.net.encodings:
+            features = list(encoding.parameters())
+            known |= {id(p) for p in features}
+            rate = factor * self.training["grid_rate"] * min(1.0, 3 / getattr(encoding, "factors", 1))
+            groups.append({"params": features, "lr": rate})
         rest = [p for p in self.net.parameters() if id(p) not in known]
-        groups = [
-            {"params": features, "lr": factor * self.training["grid_rate"]},
-            {"params": rest, "lr": factor * self.training["rate"]},
-        ]
+        groups.append({"params": rest, "lr": factor * self.training["rate"]})
         return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
 
 

@@ -103,6 +103,11 @@ class KPlanes(torch.nn.Module):
         """C = levels features."""
         return self.levels * self.features
 
+    @property
+    def factors(self) -> int:
+        """Planes whose features are multiplied."""
+        return (self.variables + 3) * (self.variables + 2) // 2
+
     def nbytes(self) -> int:
         """Bytes of all planes as they are stored."""
         return sum(p.numel() * p.element_size() for p in self.parameters())

@@ -208,3 +208,21 @@ def test_a_resumed_fit_ends_where_an_uninterrupted_one_does(per_state):
     again.fit(task(), Interrupted(kept=log.kept), 0, "cpu")
     for a, b in zip(whole.net.parameters(), again.net.parameters(), strict=True):
         torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-6)
+
+
+def test_many_factors_share_the_rate_of_three():
+    """All planes of K-planes step at once; a product of hundreds of factors would grow without bound."""
+
+    def rate(name: str, variables: int) -> float:
+        cfg = compose(["task=animate", f"method={name}", "budget=smoke"])
+        method = build(cfg, "method")
+        method.net = method.network(([0.0] * 3, [1.0] * 3), variables)
+        groups = method.optimiser().param_groups
+        assert sum(len(group["params"]) for group in groups) == len(list(method.net.parameters()))
+        return groups[0]["lr"]
+
+    whole = rate("dynamic_radiosity", 7)
+    assert rate("dynamic_radiosity", 2) == whole
+    assert rate("kplanes", 1) == pytest.approx(whole / 2) and rate("kplanes", 23) == pytest.approx(
+        whole * 3 / 325
+    )
