@@ -7,6 +7,8 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
+from prt.bench.build import build
+from prt.bench.compose import compose
 from prt.errors import PrtError
 from prt.methods import dynamic_radiosity as module
 from prt.methods.base import Silent
