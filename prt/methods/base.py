@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from prt.errors import PrtError
+from prt.light.sanitise import sanitise
 from prt.scene.gbuffer import GBuffer
 
 
@@ -96,14 +97,15 @@ class Method(Protocol):
         ...
 
 
-def check_resolution(lighting: Float[Tensor, "6 R R 3"], resolution: int) -> None:
-    """Refuse a lighting of another resolution than a model was fitted to.
+def check_lighting(lighting: Float[Tensor, "6 R R 3"], resolution: int | None = None) -> None:
+    """Refuse a lighting that no light can be, or of another resolution than a model was fitted to.
 
     Raises:
-        PrtError: naming both and the setting.
+        PrtError: in one line with what to do.
     """
-    if lighting.shape[1] != resolution:
+    if resolution is not None and lighting.shape[1] != resolution:
         raise PrtError(
             f"the lighting has {lighting.shape[1]} texels a side, the model {resolution}; "
             f"set task.resolution={resolution}"
         )
+    sanitise(lighting, "given")

@@ -20,7 +20,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from prt.errors import PrtError
-from prt.methods.base import Component, FitLog, check_resolution
+from prt.methods.base import Component, FitLog, check_lighting
 from prt.methods.training import PointSampler, fit_network, mu_law_slope
 from prt.methods.wavelet_neural import level_growth
 from prt.nn.basis_network import BasisNetwork
@@ -124,7 +124,7 @@ class BasisNeural:
     @torch.no_grad()
     def light(self, lighting: Float[Tensor, "6 R R 3"]) -> list:
         """Projection to the basis, and the last layers summed over its terms."""
-        check_resolution(lighting, self.resolution)
+        check_lighting(lighting, self.resolution)
         return self.net.fold(self.basis.project(lighting.cpu()).to(self.device))
 
     def truncated(self, lighting: Float[Tensor, "6 R R 3"]) -> Float[Tensor, "6 R R 3"]:

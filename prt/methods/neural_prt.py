@@ -28,7 +28,7 @@ from torch import Tensor
 
 from prt.errors import PrtError
 from prt.light.sh import sh_basis
-from prt.methods.base import Component, FitLog, check_resolution
+from prt.methods.base import Component, FitLog, check_lighting
 from prt.methods.training import BatchSampler, fit_network, image_loss
 from prt.nn.encodings import log_roughness, one_blob
 from prt.nn.mlp import Mlp
@@ -239,7 +239,7 @@ class NeuralPrt:
     @torch.no_grad()
     def light(self, lighting: Float[Tensor, "6 R R 3"]) -> LightCode:
         """Encode the lighting once."""
-        check_resolution(lighting, self.resolution)
+        check_lighting(lighting, self.resolution)
         unit, mean = normalise(lighting[None].to(self.device))
         diffuse, specular = self.net.encoder(unit)
         return LightCode(diffuse, specular, mean[0])

@@ -23,7 +23,7 @@ from prt.errors import PrtError
 from prt.light.glossy_lobe import cosine_bands, lobe_above, lobe_bands, lobe_reflectance
 from prt.light.sh import project, sh_basis
 from prt.light.sh_products import band_of, window
-from prt.methods.base import Component, FitLog
+from prt.methods.base import Component, FitLog, check_lighting
 from prt.scene.gbuffer import GBuffer
 from prt.scene.mesh_places import MeshPlaces
 from prt.scene.subdivide import fine_mesh
@@ -161,8 +161,9 @@ class ShMatrixVertex:
         """Coefficients of the light that arrives at every vertex of the mesh, colour after colour.
 
         Raises:
-            PrtError: before ``fit`` or ``load``.
+            PrtError: before ``fit`` or ``load``, or for a lighting that no light can be.
         """
+        check_lighting(lighting)
         matrices = self._fitted()
         coefficients = project(lighting.float().to(self.device), self.degree)
         coefficients *= window(self.degree + 1, self.window).to(coefficients)[:, None]

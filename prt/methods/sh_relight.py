@@ -10,7 +10,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from prt.errors import PrtError
-from prt.methods.base import Component
+from prt.methods.base import Component, check_lighting
 from prt.scene.gbuffer import GBuffer
 from prt.trace import sh_shading
 from prt.trace.sh_shading import ShCode
@@ -43,8 +43,9 @@ class ShRelight:
         """Coefficients of the environment, and the light matrix.
 
         Raises:
-            PrtError: before ``fit`` or ``load``.
+            PrtError: before ``fit`` or ``load``, or for a lighting that no light can be.
         """
+        check_lighting(lighting)
         if not self.order:
             raise PrtError(f"{type(self).__name__} has no transfer yet; fit it or load a checkpoint first")
         return sh_shading.encode(lighting.to(self.device), self.order, self.windowing)

@@ -27,7 +27,7 @@ from prt.errors import PrtError
 from prt.light import haar
 from prt.light.cubemap import texel_solid_angles
 from prt.light.steady import SteadySelection
-from prt.methods.base import Component, FitLog, check_resolution
+from prt.methods.base import Component, FitLog, check_lighting
 from prt.methods.mirrored_training import with_mirrored
 from prt.methods.training import fit_network
 from prt.methods.wavelet_fused import Form, check_kernel, encode, form_of, shade_as
@@ -209,7 +209,7 @@ class WaveletNeural:
 
         ``steady``: of a light that moves, the selection that goes on from the frame before.
         """
-        check_resolution(lighting, self.resolution)
+        check_lighting(lighting, self.resolution)
         if steady is None:
             values, index = self.select(lighting)
             kept = values[index]

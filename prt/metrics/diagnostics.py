@@ -68,6 +68,8 @@ _ALL = (
     Diagnostic("layers/", "layers", "lower", "", True, "Hidden layers of a network."),
     Diagnostic("seam/", "seam", "lower", "", True,
                "Difference of two neighbouring networks at their boundary, over the root mean square there."),
+    Diagnostic("input/", "input", "lower", "", True,
+               "1 where an input does harm in silence, 0 where it is refused or answered as it should be."),
     Diagnostic("spread/", "spread over seeds", "lower", "", False,
                "Standard deviation over seeds of the mean over test images."),
     Diagnostic("steps/", "steps", "lower", "", True, "Steps of training."),
