@@ -228,3 +228,20 @@ def test_many_factors_share_the_rate_of_three():
     assert rate("kplanes", 1) == pytest.approx(whole / 2) and rate("kplanes", 23) == pytest.approx(
         whole * 3 / 325
     )
+
+
+def test_the_usual_brightness_is_neither_that_of_fireflies_nor_of_points_that_found_no_light(monkeypatch):
+    """Most points of a room find its window rarely: a tenth has nearly all light, one point has found the sun."""
+    known = torch.full((512, 3), 0.001)
+    known[::10] = 1.0
+    known[1] = 1e6
+    answers = types.SimpleNamespace(known=known)
+    monkeypatch.setattr(module, "right_hand_side", lambda *_: answers)
+    surface = types.SimpleNamespace(sample=lambda count, seed: (None, count))
+    stage = types.SimpleNamespace(set=lambda v: None, mi_scene=None)
+    method = types.SimpleNamespace(stage=stage, encoding="decomposed", static_state=None)
+    residual = module.Residual(method, surface, 2, torch.Generator().manual_seed(0))
+    assert 0.05 < residual.scale() < 0.2 and residual.brightest > 1000
+    known[:] = 0.0
+    with pytest.raises(PrtError, match="no light of the scene reaches"):
+        residual.scale()
