@@ -293,9 +293,9 @@ class Residual:
         """What is usually reflected straight from the scene's emitters: the median over means of 64 points.
 
         The mean would be that of a few places in the sun, and the median over points that of places which
-        find no light in 32 directions, or nearly none: a network that begins ten times too dark is driven far past
-        what is right by the first bright samples, and comes back slowly. Sets ``brightest``, the mean, which
-        the watch for divergence starts from.
+        find no light in 32 directions, or nearly none: a network that begins ten times too dark is driven
+        far past what is right by the first bright samples, and comes back slowly. Sets ``brightest``, the
+        mean, which the watch for divergence starts from.
         """
         found = []
         generator_state = self.generator.get_state()

@@ -231,7 +231,7 @@ def test_many_factors_share_the_rate_of_three():
 
 
 def test_the_usual_brightness_is_neither_that_of_fireflies_nor_of_points_that_found_no_light(monkeypatch):
-    """Most points of a room find its window rarely: a tenth has nearly all light, one point has found the sun."""
+    """Few points of a room find its window in so many directions, and one has found the sun."""
     known = torch.full((512, 3), 0.001)
     known[::10] = 1.0
     known[1] = 1e6
