@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 from rich.console import Console
 from rich.table import Table
 
-from prt.bench import chart, curve_charts, figure, layout, pictures, run_sheets
+from prt.bench import chart, curve_charts, enough, figure, layout, pictures, run_sheets
 from prt.bench.layout import Layout, Sheet
 from prt.bench.results import (
     NOISE_FLOOR,
@@ -179,6 +179,8 @@ def describe(spec, plan: Layout, cells, results, verdicts, reasons, sheets, note
         layout.to_markdown(sheets[0]).strip(),
         "More tables: [table.md](table.md), [table.tex](table.tex).",
     ]
+    smallest = enough.markdown(results, plan, spec.enough)
+    parts += ["## What is enough", "\n".join(smallest)] if smallest else []
     if len(verdicts):
         parts += ["## Claims", claims_text(verdicts)]
     parts += ["## How it was run", how(done, spec.settings) if done else "No run has finished yet."]

@@ -15,6 +15,7 @@ It (``experiments/<paper>/<table>.yaml``) holds only its differences from ``conf
     claims: ["wavelet_neural > neural_prt on psnr/indirect, far, every scene"]
     chart: {x: time/frame, y: psnr/indirect}
     charts: [{file: size, x: bytes/model, y: psnr/indirect}]      # further ones: chart_size.svg
+    enough: {y: psnr/indirect, x: bytes/model, within: 0.5}       # prt.bench.enough: the smallest that does
     figure:                      # rows may also have split, component, label, crops
       component: indirect
       columns: ["neural_prt", "wavelet_neural[wavelets=16]"]      # by default all
@@ -78,6 +79,7 @@ class Spec:
     pictures: list[Picture] = field(default_factory=list)
     launcher: list[str] = field(default_factory=list)  #: overrides that choose and configure it
     verb: str = "prt table"
+    enough: dict[str, Any] = field(default_factory=dict)
     charts: list[dict[str, Any]] = field(default_factory=list)  #: further ones, each with its ``file``
 
     @property
@@ -87,12 +89,13 @@ class Spec:
 
 KEYS = (
     "title", "about", "grid", "common", "settings", "columns", "labels", "published", "claims", "chart",
-    "charts", "figure", "curves", "pictures", "benchmark", "without_data",
+    "charts", "enough", "figure", "curves", "pictures", "benchmark", "without_data",
 )  # fmt: skip
 PART_KEYS = {
     "without_data": ("grid", "common"),
     "columns": ("metrics", "components", "splits", "views", "as_is"),
     "chart": ("x", "y", "split", "target"),
+    "enough": ("x", "y", "within", "split"),
     "figure": ("component", "split", "denoised", "rows", "columns"),
 }
 #: of every entry of a list
@@ -177,6 +180,10 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
         grid["method"] = ladder.expand(grid["method"], common)
     slug = "_".join(re.sub(r"[^\w.,]+", "-", text) for text in changed)
     claims = parse_claims(content.get("claims") or [], needs_split=not benchmark)
+    if content.get("enough"):
+        from prt.bench import enough  # knows charts, and so matplotlib, which other commands can do without
+
+        enough.check(content["enough"])
     charts = content.get("charts") or []
     for entry in charts:
         if not re.fullmatch(r"\w+", str(entry.get("file", ""))):
@@ -191,6 +198,7 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
         claims, content.get("chart") or {}, content.get("figure") or {}, benchmark,
         named_settings(path, content.get("settings") or {}, grid),
         *drawn(path, content), launcher, charts=charts,
+        enough=content.get("enough") or {},
     )  # fmt: skip
 
 

@@ -79,6 +79,7 @@ columns: {views: [lightmap, elsewhere], as_is: neural_prt}
 claims: ["neural_prt[basis=16] > neural_prt[basis=4] on psnr/indirect, same, every scene"]
 curves: [{file: error, x: basis, y: psnr/indirect, log: [x]}]
 charts: [{file: size, x: bytes/model, y: psnr/indirect, split: same}]
+enough: {x: time/shade, y: psnr/indirect, within: 20, split: same}
 pictures: [{file: parts.png, caption: Its parts}, {file: gone.png}]
 """
     )
@@ -86,7 +87,7 @@ pictures: [{file: parts.png, caption: Its parts}, {file: gone.png}]
     spec = table.load_spec("small")
     cells = [
         make_run(tmp_path / "runs", scene, "neural_prt", variant=f"basis={n}", psnr=20.0 + n, denoise=False,
-                 splits=("same", "points"), views=("lightmap", "frame00"))
+                 shade=n / 100, splits=("same", "points"), views=("lightmap", "frame00"))
         for scene in spec.grid["scene"] for n in (4, 16)
     ]  # fmt: skip
     spec.report.mkdir(parents=True)
@@ -102,10 +103,29 @@ pictures: [{file: parts.png, caption: Its parts}, {file: gone.png}]
     text = files["report.md"].decode()
     # splits that were measured, without being asked for
     assert "Box, same lights" in text and "Box, point lights" in text and "far views" not in text
+    assert "Box, same lights: neural prt (basis=4), 40 of time to shade a frame (ms), has" in text
     assert "(chart_size.svg)" in text and "![error](error.svg)" in text and "![Its parts](parts.png)" in text
     assert "no finished run has a view 'elsewhere'; there are lightmap, frame00" in text
     assert "no picture gone.png: it was not written" in text and "Only test items with these views" in text
     assert text.count("✔ holds") == 3
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("enough: {x: bytes/model, y: psnr/indirect}", "enough: within is missing"),
+        (
+            "enough: {x: bytes/model, y: psnr/indirect, within: 0}",
+            "enough: within=0 must be a number above 0",
+        ),
+        ("enough: {x: bytes/model, y: sharp/indirect, within: 1}", "is not an axis"),
+        ("charts: [{file: a/b, x: bytes/model, y: psnr/indirect}]", "must be a plain word"),
+    ],
+)
+def test_mistakes_in_what_is_enough_and_in_charts(spec, line, words):
+    spec.path.write_text(YAML + line + "\n")
+    with pytest.raises(PrtError, match=words):
+        table.load_spec("small")
 
 
 def test_a_failed_run_shows_as_failed_with_its_reason(spec, tmp_path):

@@ -1,0 +1,67 @@
+"""The smallest rung of a ladder that is nearly as good as the best, read from a table's results.
+
+A table's YAML asks for it::
+
+    enough: {y: mape/full, x: bytes/model, within: 0.1, split: inside}
+
+``within`` is a share of the best figure where lower is better, and an amount where higher is.
+"""
+
+from typing import Any
+
+import pandas as pd
+
+from prt.bench.chart import Axis
+from prt.bench.layout import Layout, split_name
+from prt.bench.results import direction_of
+from prt.errors import PrtError
+
+KEYS = ("x", "y", "within", "split")
+
+
+def check(settings: dict[str, Any]) -> None:
+    """Raises PrtError for a missing key, a wrong axis or a distance that is no positive number."""
+    for key in ("x", "y", "within"):
+        if key not in settings:
+            raise PrtError(f"enough: {key} is missing; write {{y: mape/full, x: bytes/model, within: 0.1}}")
+    Axis.parse(str(settings["x"])), Axis.parse(str(settings["y"]))
+    if not isinstance(settings["within"], int | float) or settings["within"] <= 0:
+        raise PrtError(f"enough: within={settings['within']!r} must be a number above 0")
+
+
+def markdown(results: pd.DataFrame, plan: Layout, settings: dict[str, Any]) -> list[str]:
+    """One line a scene and method that comes in several sizes."""
+    if not settings:
+        return []
+    x, y = Axis.parse(str(settings["x"])), Axis.parse(str(settings["y"]))
+    split, within = str(settings.get("split") or plan.splits[0]), float(settings["within"])
+    lines = []
+    for scene in plan.scenes:
+        for method in dict.fromkeys(method for method, _ in plan.methods):
+            rungs = _rungs(results, scene, method, x, y, split)
+            if len(rungs) < 2:
+                continue
+            higher = direction_of(y.metric) == "higher"
+            best = (max if higher else min)(rungs, key=lambda rung: rung[2])
+            limit = best[2] - within if higher else best[2] * (1 + within)
+            name, cost, figure = next(r for r in rungs if (r[2] >= limit if higher else r[2] <= limit))
+            distance = f"{within:g}" if higher else f"{within:.0%}"
+            lines.append(
+                f"- {plan.label(scene)}, {split_name(split)}: {plan.method_label(method, name)}, "
+                f"{cost * x.scale:.3g} of {x.label}, has {figure:.4g} of {y.label}: the smallest within "
+                f"{distance} of the best, {best[2]:.4g} of {best[0]} ({best[1] * x.scale:.3g})."
+            )
+    return lines
+
+
+def _rungs(
+    results: pd.DataFrame, scene: str, method: str, x: Axis, y: Axis, split: str
+) -> list[tuple[str, float, float]]:
+    """Variant, cost and figure of every size, the cheapest first."""
+    own = results[(results["scene"] == scene) & (results["method"] == method) & results["value"].notna()]
+    cost = own[(own["metric"] == x.metric) & (own["component"] == x.component)]
+    good = own[(own["metric"] == y.metric) & (own["component"] == y.component) & (own["split"] == split)]
+    costs = dict(zip(cost["variant"], cost["value"].astype(float), strict=True))
+    figures = dict(zip(good["variant"], good["value"].astype(float), strict=True))
+    found = [(variant, costs[variant], figure) for variant, figure in figures.items() if variant in costs]
+    return sorted(found, key=lambda rung: rung[1])
