@@ -24,7 +24,8 @@ def check(settings: dict[str, Any]) -> None:
     for key in ("x", "y", "within"):
         if key not in settings:
             raise PrtError(f"enough: {key} is missing; write {{y: mape/full, x: bytes/model, within: 0.1}}")
-    Axis.parse(str(settings["x"])), Axis.parse(str(settings["y"]))
+    for key in ("x", "y"):
+        Axis.parse(str(settings[key]))
     if not isinstance(settings["within"], int | float) or settings["within"] <= 0:
         raise PrtError(f"enough: within={settings['within']!r} must be a number above 0")
 
