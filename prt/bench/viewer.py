@@ -6,6 +6,8 @@ and more paths a pixel. All rendering is done in one thread, the one that calls 
 
 import dataclasses
 import math
+import signal
+import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -260,9 +262,13 @@ class Viewer:
         return busy
 
     def serve(self) -> None:
-        """Until interrupted."""
+        """Until a signal asks to end; a picture that is being rendered is finished first."""
+        asked = threading.Event()
+        # an exception in the midst of the renderer's work would come out as an error of its own
+        for kind in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(kind, lambda *_: asked.set())
         try:
-            while True:
+            while not asked.is_set():
                 if not self.step():
                     time.sleep(0.02)
         finally:
@@ -281,8 +287,6 @@ def main(runs: Sequence[Path], port: int, size: int, host: str, component: str |
         raise PrtError(f"--size {size} must be from {SIZES[0]} to {SIZES[1]} pixels")
     viewer = Viewer(Gallery([Playback(run, component) for run in runs]), port, size, host)
     say(f"open {viewer.address} in a browser; Ctrl+C ends it")
-    try:
-        viewer.serve()
-    except KeyboardInterrupt:
-        say("closed")
+    viewer.serve()
+    say("closed")
     return 0
