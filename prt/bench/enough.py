@@ -16,8 +16,6 @@ from prt.bench.layout import Layout, split_name
 from prt.bench.results import direction_of
 from prt.errors import PrtError
 
-KEYS = ("x", "y", "within", "split")
-
 
 def check(settings: dict[str, Any]) -> None:
     """Raises PrtError for a missing key, a wrong axis or a distance that is no positive number."""

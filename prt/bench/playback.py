@@ -12,13 +12,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from prt.bench.build import build
+from prt.bench.evaluate import denoised
 from prt.bench.figure import ERROR_END
 from prt.bench.run import build_task
 from prt.bench.run_folder import RunFolder
 from prt.errors import PrtError
 from prt.metrics.tonemap import to_srgb
 from prt.scene.view import View
-from prt.tasks.free_views import FreeView, cleaned, free_view
+from prt.tasks.free_views import FreeView, free_view
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,7 +98,7 @@ class Playback:
         image = gbuffer.image(radiance)
         if self.component != self.own:
             direct = self.free.trace(view, lighting, direct_spp, 1)["direct"]
-            image = image + cleaned(direct, gbuffer)
+            image = image + denoised(direct, gbuffer)
         return Frame(image, seconds)
 
     def reference(self, view: View, lighting: Any, spp: int, seed: int = 1) -> Float[Tensor, "H W 3"]:

@@ -187,7 +187,7 @@ def main(words: Sequence[str]) -> int:
     cells = table.resolve(spec)
     task = runner.build_task(cfg)
     quality = Axis.parse(own["quality"]) if "quality" in own else default_quality(cfg, task, target)
-    split = own.get("split") or splits_of(dict.fromkeys(item.split for item in task.tests()))[0]
+    split = own.get("split") or splits_of(item.split for item in task.tests())[0]
     table.check_writable(spec.report)
     answer = Walk(target, quality, split).go(cells)
     tell(answer, target, quality, split, spec)

@@ -17,7 +17,6 @@ from prt.light.cubemap import rotate, yaw
 from prt.scene.capture import capture
 from prt.scene.gbuffer import GBuffer
 from prt.scene.view import View
-from prt.trace.denoise import denoise
 from prt.trace.reference import render
 
 #: rigs along the way of a moving light
@@ -129,8 +128,3 @@ MAKERS: dict[str, Callable[[Any], FreeView]] = {
     "local_lights": of_lights,
     "animate": of_states,
 }
-
-
-def cleaned(image: Float[Tensor, "H W 3"], gbuffer: GBuffer) -> Float[Tensor, "H W 3"]:
-    """A traced image, denoised with its G-buffer where that says what is seen."""
-    return denoise(image, **gbuffer.guides())

@@ -14,7 +14,7 @@ from torch import Tensor
 from prt.progress import track
 from prt.scene.gbuffer import GBuffer
 from prt.tasks.variable_effects import effects
-from prt.trace import scene_needs
+from prt.trace import band_error, scene_needs
 from prt.trace.scene_needs import fewest
 from prt.trace.statistics import wavelet_scale
 from prt.trace.transport import Transport
@@ -128,11 +128,10 @@ def of_direct(task: Any) -> list[Need]:
     """Of ``relight_direct``: bands of the lighting alone, and of shaded light against the traced truth."""
     errors = task.band_errors()
     _, lightings = task.lighting.train()
-    enough = scene_needs.fewest(1 - torch.tensor([errors[k] for k in sorted(errors)]), task.order_target)
     return [
         *of_lighting(lightings),
         Need(
-            "transfer/bands", enough,
+            "transfer/bands", band_error.fewest(errors, task.order_target),
             f"bands whose shaded light is within {task.order_target:g} of the traced one", max(errors),
         ),
     ]  # fmt: skip
