@@ -67,11 +67,12 @@ class MatrixCell:
 
 @dataclasses.dataclass(frozen=True)
 class Matrix:
-    """All cells, with the names of rows and columns in their order."""
+    """All cells, with the names of rows and columns in their order, and the folder of the reports."""
 
     rows: dict[str, str]
     columns: dict[str, str]
     cells: list[MatrixCell]
+    reports: Path
 
     def at(self, row: str, column: str) -> list[MatrixCell]:
         """The cells of a place, worst first."""
@@ -109,7 +110,7 @@ def read_matrix(path: Path, given: Any, reports: Path) -> Matrix:
         if missing:
             raise wrong(f"cell {place[0]}/{place[1]} has no {missing[0]}")
         cells.append(_measured(entry, place, reports, wrong))
-    return Matrix(names["rows"], names["columns"], cells)
+    return Matrix(names["rows"], names["columns"], cells, reports)
 
 
 def _check(given: Any, allowed: tuple[str, ...], needed: tuple[str, ...], wrong: Any) -> None:

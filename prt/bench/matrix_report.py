@@ -1,6 +1,7 @@
 """The report of a failure matrix: a picture, a table with links, every threshold and its reason."""
 
 import math
+import os
 import textwrap
 from pathlib import Path
 
@@ -74,23 +75,23 @@ def sheet(matrix: Matrix, folder: Path) -> str:
         "|---" * (len(matrix.columns) + 1) + "|",
     ]
     for row, label in matrix.rows.items():
-        shown = [shown_cell(matrix.at(row, column), folder) for column in matrix.columns]
+        shown = [shown_cell(matrix, row, column, folder) for column in matrix.columns]
         lines.append(f"| {label} | " + " | ".join(shown) + " |")
     return "\n".join(lines)
 
 
-def shown_cell(cells: list[MatrixCell], folder: Path) -> str:
+def shown_cell(matrix: Matrix, row: str, column: str, folder: Path) -> str:
+    cells = matrix.at(row, column)
     if not cells:
         return "?"
     worst = cells[0]
     text = f"{MARKS[worst.grade]} {figure_text(worst)}".strip()
-    return f"[{text}]({link(worst, folder)})" if worst.report and worst.grade != "missing" else text
+    return f"[{text}]({link(matrix, worst, folder)})" if worst.report and worst.grade != "missing" else text
 
 
-def link(cell: MatrixCell, folder: Path) -> str:
-    """From the matrix's folder to the report of a cell."""
-    up = "../" * len(folder.parts[1:])
-    return f"{up}{cell.report}/report.md"
+def link(matrix: Matrix, cell: MatrixCell, folder: Path) -> str:
+    """From the matrix's folder, wherever it lies, to the report of a cell."""
+    return Path(os.path.relpath(matrix.reports / cell.report / "report.md", folder)).as_posix()
 
 
 def figure_text(cell: MatrixCell) -> str:
@@ -106,7 +107,7 @@ def reasons(matrix: Matrix, folder: Path) -> str:
                 if cell.grade in ("none", "missing"):
                     continue
                 figures = f"{MARKS[cell.grade]} {cell.value:.3g} | {cell.good:g} | {cell.bad:g}"
-                what, source = f"{cell.note} ({cell.where})", f"[{cell.report}]({link(cell, folder)})"
+                what, source = f"{cell.note} ({cell.where})", f"[{cell.report}]({link(matrix, cell, folder)})"
                 lines.append(f"| {label} | {failure} | {figures} | {what} | {cell.because} | {source} |")
     return "\n".join(lines)
 

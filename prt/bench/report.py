@@ -127,8 +127,10 @@ def make_sheets(spec: "Spec", plan: Layout, results: pd.DataFrame, reasons: dict
 def draw_pictures(spec, plan, cells, images, results, references) -> list[str]:
     """Write chart, curves and figure; returns notes of what is missing in them; removes old ones."""
     folder = spec.report
+    theirs = {picture["file"] for picture in spec.pictures}  # those of the runs, which nothing here draws
     for path in [*folder.glob("chart*.svg"), *folder.glob("chart*.png"), *folder.glob("figure.*")]:
-        path.unlink()
+        if path.name not in theirs:
+            path.unlink()
     notes = []
     for name, settings in charts_of(spec).items():
         drawn = chart.draw(results, plan, settings, chart_note(cells))

@@ -226,7 +226,8 @@ def drawn(path: Path, content: dict[str, Any]) -> "tuple[list[Curve], list[Pictu
             )
 
             curves = parse_curves(content["curves"])
-        taken = ["chart.png", "figure.png", *(f"{curve.file}.png" for curve in curves)]
+        charts = [f"chart_{entry['file']}.png" for entry in content.get("charts") or []]
+        taken = ["chart.png", "figure.png", *charts, *(f"{curve.file}.png" for curve in curves)]
         return curves, parse_pictures(entries(path, "pictures", content), taken)
     except PrtError as error:
         raise PrtError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error

@@ -141,6 +141,14 @@ def test_a_benchmark_draws_its_own_pictures_and_curves(made, capsys):
     assert "folder" in capsys.readouterr().err
 
 
+def test_a_picture_cannot_have_a_charts_name(made, capsys):
+    text = DRAWING.replace("mirror_room.png", "chart_size.png")
+    text += "charts: [{file: size, x: bytes/model, y: rmse/full}]\n"
+    (made.parents[1] / "experiments" / "made.yaml").write_text(text)
+    assert cli.main(["table", "made"]) == 2
+    assert "'chart_size.png' is another picture's name" in capsys.readouterr().err
+
+
 def test_rows_of_a_benchmark_may_have_splits():
     spec = table.load_spec(str(ROOT / "experiments" / "performance" / "record.yaml"))
     rows = [{"scene": "box", "method": "m", "variant": "", "component": "full", "metric": "rmse", "value": v,

@@ -1,6 +1,7 @@
 """The matrix of failures: figures found in reports, graded, never invented."""
 
 import math
+import re
 
 import pandas as pd
 import pytest
@@ -115,6 +116,11 @@ def test_the_report(reports, tmp_path, capsys):
     files = {path.name: path.read_bytes() for path in folder.iterdir()}
     assert main(["table", "fails"]) == 0
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == files
+    elsewhere = tmp_path / "far" / "off"
+    assert main(["table", "fails", f"report={elsewhere}"]) == 0
+    written = (elsewhere / "report.md").read_text()
+    target = re.search(r"\[✘ 4\]\((.*?)\)", written)
+    assert target and (elsewhere / target[1]).resolve().parent == (reports / "paper" / "fails").resolve()
     assert main(["table", "fails", "scene=box"]) == 2
     assert "takes only report=<folder>" in capsys.readouterr().err
 
