@@ -21,14 +21,16 @@ from prt.light.steady import SteadySelection
 from prt.light.unlike import unlike
 from prt.methods.base import Method
 from prt.methods.wavelet_neural import WaveletNeural
+from prt.methods.wavelet_shading import WaveletCode
 from prt.metrics.registry import evaluate
 from prt.metrics.tonemap import exposure_of, to_srgb
 from prt.progress import track
 from prt.scene.view import View
-from prt.trace.transport import Transport
 
 #: seed of the record that the truth of a moving light is read from: one, so that its noise stands still
 FLICKER_SEED = 77_000
+#: pixels and wavelets the network is asked for at a time
+PIXELS, WAVELETS = 1024, 128
 #: settings of :class:`SteadySelection` by name
 STEADY = {"hysteresis": {"fade": 1}, "fading": {"leave": 1.0}, "hysteresis_and_fading": {}}
 
@@ -49,8 +51,7 @@ def flicker(
 
     ``flicker/relative``: root mean square of ``(B_t+1 - B_t) - (R_t+1 - R_t)`` over that of R, for the
     method's images B; ``flicker/truncation``: for the truth R under the lighting that the selection keeps:
-    what a perfect network would show. R is relit from one record of transport, whose noise stands still. A
-    frame costs K evaluations with every selection.
+    what a perfect network would show. R is relit from one record of transport, whose noise stands still.
 
     Args:
         degrees: turned about the vertical axis a frame.
@@ -68,14 +69,15 @@ def flicker(
         turning = [rotate(lighting, yaw(degrees * frame)) for frame in range(frames)]
         truth = transport.relight(torch.stack(turning).flatten(1, 3))
         scale = float(truth.square().mean().sqrt())
-        for count in wavelets:
-            for name in (*haar.SELECTIONS, *STEADY):
-                images, kept = moving(model, gbuffer, transport, turning, name, count)
-                parts = tuple(
-                    float((other.diff(dim=0) - truth.diff(dim=0)).square().mean().sqrt()) / scale
-                    for other in (images, kept)
-                )
-                found.setdefault((name, count), []).append(parts)
+        names_and_counts = [(n, count) for count in wavelets for n in (*haar.SELECTIONS, *STEADY)]
+        codes = {key: followed(model, turning, *key) for key in names_and_counts}
+        for key, images in shaded(model, gbuffer, codes).items():
+            kept = torch.stack([kept_lighting(model, code) for code in codes[key]])
+            parts = tuple(
+                float((other.diff(dim=0) - truth.diff(dim=0)).square().mean().sqrt()) / scale
+                for other in (images, transport.relight(kept))
+            )
+            found.setdefault(key, []).append(parts)
     for (name, count), parts in found.items():
         variant = f"selection={name},wavelets={count}"
         for metric, values in zip(("relative", "truncation"), zip(*parts, strict=True), strict=True):
@@ -83,10 +85,8 @@ def flicker(
     return rows
 
 
-def moving(
-    model: WaveletNeural, gbuffer: Any, transport: Transport, turning: list[Tensor], name: str, count: int
-) -> tuple[Float[Tensor, "T N 3"], Float[Tensor, "T N 3"]]:
-    """The frames of the method, and those of recorded transport under the lighting that is kept.
+def followed(model: WaveletNeural, turning: list[Tensor], name: str, count: int) -> list[WaveletCode]:
+    """The codes of all frames.
 
     Args:
         name: a selection, or a way to go on from the frame before with the model's own.
@@ -94,15 +94,48 @@ def moving(
     before = model.wavelets, model.selection
     model.wavelets, model.selection = count, name if name in haar.SELECTIONS else before[1]
     steady = SteadySelection(count, **STEADY[name]) if name in STEADY else None
-    images, kept = [], []
-    for lighting in turning:
-        code = model.light(lighting, steady)
-        images.append(model.shade(gbuffer, code))
-        values = torch.zeros((lighting.shape[0] * lighting.shape[1] ** 2, 3))
-        values[code.index.cpu()] = code.value.cpu()
-        kept.append(haar.inverse(values) / model.measure.cpu())
+    codes = [model.light(lighting, steady) for lighting in turning]
     model.wavelets, model.selection = before
-    return torch.stack(images), transport.relight(torch.stack(kept))
+    return codes
+
+
+def shaded_readable(
+    model: WaveletNeural, gbuffer: Any, codes: dict[Any, list[WaveletCode]]
+) -> dict[Any, Tensor]:
+    """The images (T, N, 3) of every list of codes, a frame at a time."""
+    return {key: torch.stack([model.shade(gbuffer, code) for code in line]) for key, line in codes.items()}
+
+
+@torch.no_grad()
+def shaded(model: WaveletNeural, gbuffer: Any, codes: dict[Any, list[WaveletCode]]) -> dict[Any, Tensor]:
+    """The same with the network asked once for each wavelet that any frame has.
+
+    An image is linear in the kept coefficients, and frames share most of their wavelets. Mirrors with
+    secondary rays are not of the network: there the readable form stays.
+    """
+    if model.mirrors.on:
+        return shaded_readable(model, gbuffer, codes)
+    union = torch.cat([code.index for line in codes.values() for code in line]).unique()
+    weights = {}
+    for key, line in codes.items():
+        weights[key] = torch.zeros((3, len(line), len(union)), device=union.device)
+        for frame, code in enumerate(line):
+            weights[key][:, frame, torch.searchsorted(union, code.index)] = code.value.T
+    images: dict[Any, list[Tensor]] = {key: [] for key in codes}
+    for rows in torch.arange(len(gbuffer)).split(PIXELS):
+        pixel = model.net.inputs(gbuffer.rows(rows).to(model.device))
+        parts = [model.net.coefficients(pixel, k) for k in union.split(WAVELETS)]
+        answer = torch.cat(parts, dim=1).permute(2, 1, 0).contiguous()  # colour, wavelet, pixel
+        for key, weight in weights.items():
+            images[key].append((weight @ answer).permute(1, 2, 0).cpu())
+    return {key: torch.cat(parts, dim=1) for key, parts in images.items()}
+
+
+def kept_lighting(model: WaveletNeural, code: WaveletCode) -> Float[Tensor, "T 3"]:
+    """The lighting that a code holds, per texel."""
+    values = torch.zeros((len(model.measure), 3))
+    values[code.index.cpu()] = code.value.cpu()
+    return haar.inverse(values) / model.measure.cpu()
 
 
 # ---- lights unlike training

@@ -7,6 +7,7 @@ import torch
 from prt.bench.build import build
 from prt.bench.compose import compose
 from prt.errors import PrtError
+from prt.light.cubemap import rotate, yaw
 from prt.methods import figures_wavelet, stability_wavelet
 from prt.metrics.diagnostics import diagnostic_of
 
@@ -32,6 +33,22 @@ def test_flicker_of_every_selection(tiny_task, model, own_cache):
     assert truth[f"selection=magnitude,{everything}"] < 1e-4 < truth["selection=magnitude,wavelets=8"]
     assert (model.wavelets, model.selection) == (8, "transport"), "the model was left changed"
     assert all(diagnostic_of(row["metric"]) for row in rows)
+
+
+def test_all_frames_at_once_are_the_frames_one_by_one(tiny_task, model):
+    view = tiny_task.scene.views("far", 1, 16, train_count=tiny_task.train_view_count)[0]
+    gbuffer = tiny_task.recorded(view, 4, 5)[0]
+    lighting = tiny_task.lighting.test()[1][0]
+    turning = [rotate(lighting, yaw(20.0 * frame)) for frame in range(5)]
+    codes = {
+        key: stability_wavelet.followed(model, turning, *key) for key in (("magnitude", 4), ("fading", 8))
+    }
+    fast = stability_wavelet.shaded(model, gbuffer, codes)
+    slow = stability_wavelet.shaded_readable(model, gbuffer, codes)
+    for key in codes:
+        assert fast[key].shape == slow[key].shape == (5, len(gbuffer), 3)
+        torch.testing.assert_close(fast[key], slow[key], rtol=1e-4, atol=1e-5 * float(slow[key].abs().max()))
+    assert not torch.allclose(fast["magnitude", 4][0], fast["magnitude", 4][4], rtol=1e-3), "the light turns"
 
 
 def test_a_light_that_stands_still_flickers_with_no_selection(tiny_task, model, own_cache):
