@@ -49,12 +49,15 @@ def package_version(name: str) -> str | None:
         return None
 
 
-def git_state() -> tuple[str | None, bool | None]:
-    """Commit of the code and whether files differ from it; None outside a checkout."""
-    folder = Path(prt.__file__).resolve().parent
+def git_state(folder: Path = Path(prt.__file__).resolve().parent) -> tuple[str | None, bool | None]:
+    """Commit of the code and whether files differ from it; None outside a checkout.
+
+    Reports do not count: a table that was written anew changes nothing that makes the next one.
+    """
+    code = (":(top)", ":(top,exclude)reports")
     try:
         commit = git(folder, "rev-parse", "HEAD")
-        return commit, bool(git(folder, "status", "--porcelain", "--untracked-files=no"))
+        return commit, bool(git(folder, "status", "--porcelain", "--untracked-files=no", "--", *code))
     except (OSError, subprocess.SubprocessError):
         return None, None
 

@@ -1,5 +1,6 @@
 import dataclasses
 import json
+import subprocess
 
 import fakes
 import pandas as pd
@@ -7,7 +8,7 @@ import pytest
 import torch
 from fakes import CHOICE, write_conf
 
-from prt.bench import score
+from prt.bench import provenance, score
 from prt.bench.compose import compose
 from prt.bench.run import build_task, fitted, folder_of, run
 from prt.bench.run_folder import METRIC_COLUMNS, RunFolder, find_runs
@@ -264,3 +265,22 @@ def test_a_benchmarks_model_may_be_another_runs_and_be_taken_over_in_turn(choice
     assert folder_of(cfg).config().method.sleep == 0.001
     assert folder_of(cfg).provenance()["fitted_by"]
     assert run(compose([*choice, "method.sleep=0.002"])).state() == "done"
+
+
+def test_a_new_report_is_no_change_of_the_code(tmp_path):
+    def git(*words):
+        subprocess.run(
+            ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a", *words], check=True
+        )
+
+    for name in ("prt", "reports"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "file").write_text("before")
+    git("init", "-q")
+    git("add", "-A")
+    git("commit", "-qm", "all")
+    (tmp_path / "reports" / "file").write_text("after")
+    assert provenance.git_state(tmp_path / "prt")[1] is False
+    (tmp_path / "prt" / "file").write_text("after")
+    commit, dirty = provenance.git_state(tmp_path / "prt")
+    assert dirty is True and commit is not None and len(commit) == 40
