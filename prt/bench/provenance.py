@@ -20,6 +20,9 @@ PACKAGES = (
     "flip-evaluator", "safetensors", "OpenEXR", "pandas", "karellen-llvm-core",
 )  # fmt: skip
 
+#: where the code lies
+CODE = Path(prt.__file__).resolve().parent
+
 
 def collect(cfg: DictConfig) -> dict[str, Any]:
     """Everything that goes into provenance.json, plain JSON."""
@@ -49,7 +52,7 @@ def package_version(name: str) -> str | None:
         return None
 
 
-def git_state(folder: Path = Path(prt.__file__).resolve().parent) -> tuple[str | None, bool | None]:
+def git_state(folder: Path = CODE) -> tuple[str | None, bool | None]:
     """Commit of the code and whether files differ from it; None outside a checkout.
 
     Reports do not count: a table that was written anew changes nothing that makes the next one.
