@@ -22,13 +22,14 @@ from prt.light.unlike import unlike
 from prt.methods.base import Method
 from prt.methods.wavelet_neural import WaveletNeural
 from prt.methods.wavelet_shading import WaveletCode
+from prt.metrics.intervals import mean_interval
 from prt.metrics.registry import evaluate
 from prt.metrics.tonemap import exposure_of, to_srgb
 from prt.progress import track
 from prt.scene.view import View
 
-#: seed of the record that the truth of a moving light is read from: one, so that its noise stands still
-FLICKER_SEED = 77_000
+#: seeds of the two records that the truth of a moving light is read from
+FLICKER_SEEDS = (77_000, 77_001)
 #: pixels and wavelets the network is asked for at a time
 PIXELS, WAVELETS = 1024, 128
 #: settings of :class:`SteadySelection` by name
@@ -49,40 +50,72 @@ def flicker(
 ) -> list[dict[str, Any]]:
     """Change from frame to frame beyond the truth's own, while an environment turns.
 
-    ``flicker/relative``: root mean square of ``(B_t+1 - B_t) - (R_t+1 - R_t)`` over that of R, for the
-    method's images B; ``flicker/truncation``: for the truth R under the lighting that the selection keeps:
-    what a perfect network would show. R is relit from one record of transport, whose noise stands still.
+    All figures are over the root mean square of the truth R, means over views with their interval:
+
+    - ``flicker/jump``: root mean square of ``B_t+1 - 2 B_t + B_t-1`` for the method's images B, which have no
+      noise; of the truth in the row ``selection=none``. A wavelet that is swapped is a jump, a light that
+      turns is none.
+    - ``flicker/share``: that jump over the one of selection by magnitude with equal K.
+    - ``flicker/relative``: root mean square of ``(B_t+1 - B_t) - (R_t+1 - R_t)``, all errors of the change.
+    - ``flicker/truncation``: the same for the truth under the lighting that is kept: a perfect network's.
+
+    R is relit from recorded transport. A bright texel that moves on meets other paths, so the noise of a
+    record does not stand still: squares of what R has a part in are products of two independent records.
 
     Args:
         degrees: turned about the vertical axis a frame.
         wavelets: the numbers K that are kept.
-        spp: recorded paths a pixel of the truth.
+        spp: recorded paths a pixel of each record of the truth.
+
+    Raises:
+        PrtError: for fewer than three frames.
     """
+    if frames < 3:
+        raise PrtError(f"benchmark.frames={frames} must be at least 3: a jump is between three frames")
     names, lightings = task.lighting.test()
-    rows = []
     shown = task.scene.views("far", views, task.train_size, train_count=task.train_view_count)
-    found: dict[tuple[str, int], list[tuple[float, float]]] = {}
+    found: dict[tuple[str, str], list[float]] = {}
     for number, view in enumerate(track(shown, "flicker", len(shown))):
-        gbuffer, whole = task.recorded(view, spp, FLICKER_SEED)
-        transport = whole.component("indirect").rows(gbuffer.hit.nonzero()[:, 0])
-        lighting = lightings[number % len(names)]
-        turning = [rotate(lighting, yaw(degrees * frame)) for frame in range(frames)]
-        truth = transport.relight(torch.stack(turning).flatten(1, 3))
-        scale = float(truth.square().mean().sqrt())
-        names_and_counts = [(n, count) for count in wavelets for n in (*haar.SELECTIONS, *STEADY)]
-        codes = {key: followed(model, turning, *key) for key in names_and_counts}
-        for key, images in shaded(model, gbuffer, codes).items():
-            kept = torch.stack([kept_lighting(model, code) for code in codes[key]])
-            parts = tuple(
-                float((other.diff(dim=0) - truth.diff(dim=0)).square().mean().sqrt()) / scale
-                for other in (images, transport.relight(kept))
-            )
-            found.setdefault(key, []).append(parts)
-    for (name, count), parts in found.items():
-        variant = f"selection={name},wavelets={count}"
-        for metric, values in zip(("relative", "truncation"), zip(*parts, strict=True), strict=True):
-            rows.append(row(f"flicker/{metric}", statistics.fmean(values), variant, len(values)))
+        pairs = [task.recorded(view, spp, seed) for seed in FLICKER_SEEDS]
+        gbuffer = pairs[0][0]
+        hit = gbuffer.hit.nonzero()[:, 0]
+        records = [whole.component("indirect").rows(hit) for _, whole in pairs]
+        turning = [rotate(lightings[number % len(names)], yaw(degrees * frame)) for frame in range(frames)]
+        lit = torch.stack(turning).flatten(1, 3)
+        truths = [transport.relight(lit) for transport in records]
+        scale = independent_rms(*truths)
+        keys = [(n, count) for count in wavelets for n in (*haar.SELECTIONS, *STEADY)]
+        codes = {key: followed(model, turning, *key) for key in keys}
+        images = shaded(model, gbuffer, codes)
+        jumps = {key: float(second_difference(image).square().mean().sqrt()) for key, image in images.items()}
+        own = independent_rms(*map(second_difference, truths))
+        found.setdefault(("selection=none", "jump"), []).append(own / scale)
+        for key in keys:
+            lost = torch.stack([kept_lighting(model, code) for code in codes[key]]) - lit
+            figures = {
+                "jump": jumps[key] / scale,
+                "share": jumps[key] / max(jumps["magnitude", key[1]], 1e-30),
+                "relative": independent_rms(*((images[key] - truth).diff(dim=0) for truth in truths)) / scale,
+                "truncation": independent_rms(*(t.relight(lost).diff(dim=0) for t in records)) / scale,
+            }
+            for metric, value in figures.items():
+                found.setdefault((f"selection={key[0]},wavelets={key[1]}", metric), []).append(value)
+    rows = []
+    for (variant, metric), values in found.items():
+        interval = mean_interval(values)
+        bounds = {"lo": interval.lo, "hi": interval.hi}
+        rows.append(row(f"flicker/{metric}", interval.mean, variant, len(values)) | bounds)
     return rows
+
+
+def independent_rms(first: Tensor, second: Tensor) -> float:
+    """Root mean square of what two noisy measurements share; 0 where their noise hides it."""
+    return max(float((first.double() * second.double()).mean()), 0.0) ** 0.5
+
+
+def second_difference(frames: Float[Tensor, "T N 3"]) -> Float[Tensor, "T-2 N 3"]:
+    """How far every frame is from halfway between its neighbours, twice."""
+    return frames.diff(dim=0).diff(dim=0)
 
 
 def followed(model: WaveletNeural, turning: list[Tensor], name: str, count: int) -> list[WaveletCode]:

@@ -25,14 +25,38 @@ def values(rows, metric):
 
 
 def test_flicker_of_every_selection(tiny_task, model, own_cache):
-    rows = stability_wavelet.flicker(tiny_task, model, 2.0, 6, 1, [8, 6 * tiny.RESOLUTION**2], 16)
+    rows = stability_wavelet.flicker(tiny_task, model, 2.0, 6, 2, [8, 6 * tiny.RESOLUTION**2], 16)
+    jump, share = values(rows, "flicker/jump"), values(rows, "flicker/share")
     found, truth = values(rows, "flicker/relative"), values(rows, "flicker/truncation")
-    assert len(found) == 2 * 6 == len(truth)
+    assert len(found) == 2 * 6 == len(truth) == len(share) == len(jump) - 1
+    assert "selection=none" in jump, "the truth's own"
     everything = f"wavelets={6 * tiny.RESOLUTION**2}"
     # nothing is cut away: the truth under the kept light is the truth
     assert truth[f"selection=magnitude,{everything}"] < 1e-4 < truth["selection=magnitude,wavelets=8"]
+    # with all wavelets there is nothing to swap, whatever the selection
+    assert jump[f"selection=hysteresis,{everything}"] == pytest.approx(
+        jump[f"selection=magnitude,{everything}"], rel=1e-3
+    )
+    assert all(value == 1 for name, value in share.items() if "magnitude" in name)
+    assert share["selection=hysteresis_and_fading,wavelets=8"] < 1
     assert (model.wavelets, model.selection) == (8, "transport"), "the model was left changed"
     assert all(diagnostic_of(row["metric"]) for row in rows)
+    one = next(row for row in rows if row["variant"] == "selection=area,wavelets=8")
+    assert one["lo"] <= one["value"] <= one["hi"] and one["n"] == 2
+    with pytest.raises(PrtError, match="frames=2"):
+        stability_wavelet.flicker(tiny_task, model, 2.0, 2, 1, [8], 16)
+
+
+def test_noise_of_the_truth_is_no_flicker():
+    """Images without error, truths with much noise: two records say so, one would not."""
+    draw = torch.Generator().manual_seed(0)
+    image = torch.rand((6, 4000, 3), generator=draw)
+    noisy = [image + torch.randn(image.shape, generator=draw) for _ in range(2)]
+    wrong = [(image - truth).diff(dim=0) for truth in noisy]
+    assert wrong[0].square().mean().sqrt() > 1.3
+    assert stability_wavelet.independent_rms(*wrong) < 0.15
+    shifted = [part + 2.0 for part in wrong]
+    assert stability_wavelet.independent_rms(*shifted) == pytest.approx(2.0, abs=0.05)
 
 
 def test_all_frames_at_once_are_the_frames_one_by_one(tiny_task, model):
