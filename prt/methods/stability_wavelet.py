@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from skimage.color import rgb2lab
 from torch import Tensor
 
@@ -21,7 +21,6 @@ from prt.light.steady import SteadySelection
 from prt.light.unlike import unlike
 from prt.methods.base import Method
 from prt.methods.wavelet_neural import WaveletNeural
-from prt.methods.wavelet_shading import WaveletCode
 from prt.metrics.intervals import mean_interval
 from prt.metrics.registry import evaluate
 from prt.metrics.tonemap import exposure_of, to_srgb
@@ -30,6 +29,10 @@ from prt.scene.view import View
 
 #: seeds of the two records that the truth of a moving light is read from
 FLICKER_SEEDS = (77_000, 77_001)
+#: wavelets of a frame and their coefficients (k,) and (k, 3)
+Kept = tuple[Tensor, Tensor]
+#: stands for the whole lighting among selections
+WHOLE = ("whole", 0)
 #: pixels and wavelets the network is asked for at a time
 PIXELS, WAVELETS = 1024, 128
 #: settings of :class:`SteadySelection` by name
@@ -52,10 +55,10 @@ def flicker(
 
     All figures are over the root mean square of the truth R, means over views with their interval:
 
-    - ``flicker/jump``: root mean square of ``B_t+1 - 2 B_t + B_t-1`` for the method's images B, which have no
-      noise; of the truth in the row ``selection=none``. A wavelet that is swapped is a jump, a light that
-      turns is none.
-    - ``flicker/share``: that jump over the one of selection by magnitude with equal K.
+    - ``flicker/jump``: root mean square of ``D_t+1 - 2 D_t + D_t-1``, D being the method's image less its own
+      under the whole lighting. Neither has noise, and what the light itself does is in both: swapped wavelets
+      are what is left. The row ``selection=none`` has the second difference of the image under all of it.
+    - ``flicker/share``: the jump over that of selection by magnitude with equal K.
     - ``flicker/relative``: root mean square of ``(B_t+1 - B_t) - (R_t+1 - R_t)``, all errors of the change.
     - ``flicker/truncation``: the same for the truth under the lighting that is kept: a perfect network's.
 
@@ -68,8 +71,10 @@ def flicker(
         spp: recorded paths a pixel of each record of the truth.
 
     Raises:
-        PrtError: for fewer than three frames.
+        PrtError: for fewer than three frames, or secondary rays, which are not of the network.
     """
+    if model.mirrors.on:
+        raise PrtError("flicker is measured of the network: leave method.secondary.roughness at 0")
     if frames < 3:
         raise PrtError(f"benchmark.frames={frames} must be at least 3: a jump is between three frames")
     names, lightings = task.lighting.test()
@@ -85,13 +90,15 @@ def flicker(
         truths = [transport.relight(lit) for transport in records]
         scale = independent_rms(*truths)
         keys = [(n, count) for count in wavelets for n in (*haar.SELECTIONS, *STEADY)]
-        codes = {key: followed(model, turning, *key) for key in keys}
-        images = shaded(model, gbuffer, codes)
-        jumps = {key: float(second_difference(image).square().mean().sqrt()) for key, image in images.items()}
-        own = independent_rms(*map(second_difference, truths))
-        found.setdefault(("selection=none", "jump"), []).append(own / scale)
+        kept = {key: followed(model, turning, *key) for key in keys}
+        images = shaded(
+            model, gbuffer, {**kept, WHOLE: [whole_light(model, lighting) for lighting in turning]}
+        )
+        whole = images.pop(WHOLE)
+        found.setdefault(("selection=none", "jump"), []).append(rms(second_difference(whole)) / scale)
+        jumps = {key: rms(second_difference(image - whole)) for key, image in images.items()}
         for key in keys:
-            lost = torch.stack([kept_lighting(model, code) for code in codes[key]]) - lit
+            lost = torch.stack([as_lighting(model, *pair) for pair in kept[key]]) - lit
             figures = {
                 "jump": jumps[key] / scale,
                 "share": jumps[key] / max(jumps["magnitude", key[1]], 1e-30),
@@ -108,6 +115,11 @@ def flicker(
     return rows
 
 
+def rms(values: Tensor) -> float:
+    """Root mean square."""
+    return float(values.square().mean().sqrt())
+
+
 def independent_rms(first: Tensor, second: Tensor) -> float:
     """Root mean square of what two noisy measurements share; 0 where their noise hides it."""
     return max(float((first.double() * second.double()).mean()), 0.0) ** 0.5
@@ -118,8 +130,8 @@ def second_difference(frames: Float[Tensor, "T N 3"]) -> Float[Tensor, "T-2 N 3"
     return frames.diff(dim=0).diff(dim=0)
 
 
-def followed(model: WaveletNeural, turning: list[Tensor], name: str, count: int) -> list[WaveletCode]:
-    """The codes of all frames.
+def followed(model: WaveletNeural, turning: list[Tensor], name: str, count: int) -> list[Kept]:
+    """What every frame keeps.
 
     Args:
         name: a selection, or a way to go on from the frame before with the model's own.
@@ -129,32 +141,29 @@ def followed(model: WaveletNeural, turning: list[Tensor], name: str, count: int)
     steady = SteadySelection(count, **STEADY[name]) if name in STEADY else None
     codes = [model.light(lighting, steady) for lighting in turning]
     model.wavelets, model.selection = before
-    return codes
+    return [(code.index, code.value) for code in codes]
 
 
-def shaded_readable(
-    model: WaveletNeural, gbuffer: Any, codes: dict[Any, list[WaveletCode]]
-) -> dict[Any, Tensor]:
-    """The images (T, N, 3) of every list of codes, a frame at a time."""
-    return {key: torch.stack([model.shade(gbuffer, code) for code in line]) for key, line in codes.items()}
+def whole_light(model: WaveletNeural, lighting: Float[Tensor, "6 R R 3"]) -> Kept:
+    """All wavelets."""
+    values = model.transformed(lighting)
+    return torch.arange(len(values), device=values.device), values
 
 
 @torch.no_grad()
-def shaded(model: WaveletNeural, gbuffer: Any, codes: dict[Any, list[WaveletCode]]) -> dict[Any, Tensor]:
-    """The same with the network asked once for each wavelet that any frame has.
+def shaded(model: WaveletNeural, gbuffer: Any, kept: dict[Any, list[Kept]]) -> dict[Any, Tensor]:
+    """The images (T, N, 3) of every list of frames: what :meth:`WaveletNeural.shade` gives one by one.
 
-    An image is linear in the kept coefficients, and frames share most of their wavelets. Mirrors with
-    secondary rays are not of the network: there the readable form stays.
+    An image is linear in the kept coefficients, and frames share most of their wavelets: the network is
+    asked once for each wavelet that any frame has.
     """
-    if model.mirrors.on:
-        return shaded_readable(model, gbuffer, codes)
-    union = torch.cat([code.index for line in codes.values() for code in line]).unique()
+    union = torch.cat([index for line in kept.values() for index, _ in line]).unique()
     weights = {}
-    for key, line in codes.items():
+    for key, line in kept.items():
         weights[key] = torch.zeros((3, len(line), len(union)), device=union.device)
-        for frame, code in enumerate(line):
-            weights[key][:, frame, torch.searchsorted(union, code.index)] = code.value.T
-    images: dict[Any, list[Tensor]] = {key: [] for key in codes}
+        for frame, (index, value) in enumerate(line):
+            weights[key][:, frame, torch.searchsorted(union, index)] = value.T
+    images: dict[Any, list[Tensor]] = {key: [] for key in kept}
     for rows in torch.arange(len(gbuffer)).split(PIXELS):
         pixel = model.net.inputs(gbuffer.rows(rows).to(model.device))
         parts = [model.net.coefficients(pixel, k) for k in union.split(WAVELETS)]
@@ -164,10 +173,12 @@ def shaded(model: WaveletNeural, gbuffer: Any, codes: dict[Any, list[WaveletCode
     return {key: torch.cat(parts, dim=1) for key, parts in images.items()}
 
 
-def kept_lighting(model: WaveletNeural, code: WaveletCode) -> Float[Tensor, "T 3"]:
-    """The lighting that a code holds, per texel."""
+def as_lighting(
+    model: WaveletNeural, index: Int[Tensor, "k"], value: Float[Tensor, "k 3"]
+) -> Float[Tensor, "T 3"]:
+    """The lighting that is kept, per texel."""
     values = torch.zeros((len(model.measure), 3))
-    values[code.index.cpu()] = code.value.cpu()
+    values[index.cpu()] = value.cpu()
     return haar.inverse(values) / model.measure.cpu()
 
 
