@@ -10,7 +10,7 @@ A table's YAML lists them; each becomes ``<file>.svg`` and ``<file>.png`` in the
         log: [x, y]
         group: scene                      # what a colour stands for: scene, method or a part of the variant
         panels: none                      # none: all lines in one; scene: one panel a scene
-        where: {lambda: 0.01}             # only these; a value or a list; also scene, method, denoised
+        where: {lambda: 0.01}             # only these: a value, a list, null; also scene, method, denoised
         title: Figure 14
         labels: {x: basis vectors, rmse/bound/indirect: projected}    # x, y, or a line style
 
@@ -175,9 +175,9 @@ def _shown(row: dict, tokens: dict[str, str], layout: Layout, curve: Curve) -> b
 
 
 def _same(own: str | None, wanted: str) -> bool:
-    """Equal as text, or as numbers: ``1e-2`` and ``0.01``."""
+    """Equal as text, or as numbers: ``1e-2`` and ``0.01``; null means those without the setting."""
     if own is None or own == wanted:
-        return own is not None
+        return own is not None or wanted == str(None)
     try:
         return float(own) == float(wanted)
     except ValueError:

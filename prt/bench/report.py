@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 from rich.console import Console
 from rich.table import Table
 
-from prt.bench import chart, curve_charts, enough, figure, layout, pictures, run_sheets
+from prt.bench import chart, curve_charts, differences, enough, figure, layout, pictures, run_sheets
 from prt.bench.layout import Layout, Sheet
 from prt.bench.results import (
     NOISE_FLOOR,
@@ -128,7 +128,8 @@ def draw_pictures(spec, plan, cells, images, results, references) -> list[str]:
     """Write chart, curves and figure; returns notes of what is missing in them; removes old ones."""
     folder = spec.report
     theirs = {picture["file"] for picture in spec.pictures}  # those of the runs, which nothing here draws
-    for path in [*folder.glob("chart*.svg"), *folder.glob("chart*.png"), *folder.glob("figure.*")]:
+    drawn_here = ("chart*.svg", "chart*.png", "differences.*", "figure.*")
+    for path in [path for pattern in drawn_here for path in folder.glob(pattern)]:
         if path.name not in theirs:
             path.unlink()
     notes = []
@@ -138,6 +139,12 @@ def draw_pictures(spec, plan, cells, images, results, references) -> list[str]:
             chart.write(drawn, folder, name)
         elif settings or "indirect" in plan.components:  # the default chart's
             notes.append(f"no {name}: no finished run has both of its figures")
+    if spec.differences:
+        drawn = differences.draw(images, plan, spec.differences)
+        if drawn is not None:
+            chart.write(drawn, folder, "differences")
+        else:
+            notes.append("no differences: no finished run can be compared with the first row's")
     notes += curve_charts.write_all(spec.curves, results, plan, folder, plan.splits[0])
     notes += pictures.missing(spec.pictures, folder)
     if references is not None and spec.figure is not None:
@@ -151,7 +158,8 @@ def draw_pictures(spec, plan, cells, images, results, references) -> list[str]:
 
 def charts_of(spec: "Spec") -> dict[str, dict]:
     """Every speed-accuracy chart of a table by the name of its files."""
-    return {"chart": spec.chart} | {f"chart_{entry['file']}": entry for entry in spec.charts}
+    first = {} if spec.differences and not spec.chart else {"chart": spec.chart}
+    return first | {f"chart_{entry['file']}": entry for entry in spec.charts}
 
 
 def chart_note(cells: list[Cell]) -> str:
@@ -176,6 +184,8 @@ def describe(spec, plan: Layout, cells, results, verdicts, reasons, sheets, note
         parts.append("![Reference, methods and error maps](figure.png)")
     names = [name for name in charts_of(spec) if (folder / f"{name}.svg").exists()]
     parts += [f"![Speed against accuracy]({name}.svg)" for name in names]
+    if (folder / "differences.svg").exists():
+        parts.append("![What every change brings](differences.svg)")
     parts += curve_charts.markdown(spec.curves, folder) + pictures.markdown(spec.pictures, folder)
     parts += [
         layout.to_markdown(sheets[0]).strip(),

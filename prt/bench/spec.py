@@ -16,6 +16,7 @@ It (``experiments/<paper>/<table>.yaml``) holds only its differences from ``conf
     chart: {x: time/frame, y: psnr/indirect}
     charts: [{file: size, x: bytes/model, y: psnr/indirect}]      # further ones: chart_size.svg
     enough: {y: psnr/indirect, x: bytes/model, within: 0.5}       # prt.bench.enough: the smallest that does
+    differences: {y: psnr/indirect, split: far}  # prt.bench.differences: each row less the first, in place of chart
     figure:                      # rows may also have split, component, label, crops
       component: indirect
       columns: ["neural_prt", "wavelet_neural[wavelets=16]"]      # by default all
@@ -80,6 +81,7 @@ class Spec:
     launcher: list[str] = field(default_factory=list)  #: overrides that choose and configure it
     verb: str = "prt table"
     enough: dict[str, Any] = field(default_factory=dict)
+    differences: dict[str, Any] = field(default_factory=dict)
     charts: list[dict[str, Any]] = field(default_factory=list)  #: further ones, each with its ``file``
 
     @property
@@ -89,13 +91,14 @@ class Spec:
 
 KEYS = (
     "title", "about", "grid", "common", "settings", "columns", "labels", "published", "claims", "chart",
-    "charts", "enough", "figure", "curves", "pictures", "benchmark", "without_data",
+    "charts", "enough", "differences", "figure", "curves", "pictures", "benchmark", "without_data",
 )  # fmt: skip
 PART_KEYS = {
     "without_data": ("grid", "common"),
     "columns": ("metrics", "components", "splits", "views", "as_is"),
     "chart": ("x", "y", "split", "target"),
     "enough": ("x", "y", "within", "split"),
+    "differences": ("y", "split"),
     "figure": ("component", "split", "denoised", "rows", "columns"),
 }
 #: of every entry of a list
@@ -184,6 +187,10 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
         from prt.bench import enough  # knows charts, and so matplotlib, which other commands can do without
 
         enough.check(content["enough"])
+    if content.get("differences"):
+        from prt.bench import differences
+
+        differences.check(content["differences"])
     charts = content.get("charts") or []
     for entry in charts:
         if not re.fullmatch(r"\w+", str(entry.get("file", ""))):
@@ -198,7 +205,7 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
         claims, content.get("chart") or {}, content.get("figure") or {}, benchmark,
         named_settings(path, content.get("settings") or {}, grid),
         *drawn(path, content), launcher, charts=charts,
-        enough=content.get("enough") or {},
+        enough=content.get("enough") or {}, differences=content.get("differences") or {},
     )  # fmt: skip
 
 
@@ -227,7 +234,13 @@ def drawn(path: Path, content: dict[str, Any]) -> "tuple[list[Curve], list[Pictu
 
             curves = parse_curves(content["curves"])
         charts = [f"chart_{entry['file']}.png" for entry in content.get("charts") or []]
-        taken = ["chart.png", "figure.png", *charts, *(f"{curve.file}.png" for curve in curves)]
+        taken = [
+            "chart.png",
+            "differences.png",
+            "figure.png",
+            *charts,
+            *(f"{curve.file}.png" for curve in curves),
+        ]
         return curves, parse_pictures(entries(path, "pictures", content), taken)
     except PrtError as error:
         raise PrtError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
