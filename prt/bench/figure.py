@@ -39,6 +39,8 @@ CAPTION = (
 CAPTION_DENSITY = 19
 #: characters of a column's title that surely fit over a picture
 TITLE_WIDTH = 24
+#: of a title; the rest stands in the table
+TITLE_LINES = 5
 CROP_COLOURS = ["#E69F00", "#56B4E9"]
 
 
@@ -241,7 +243,13 @@ def _draw_row(
 
 def _titled(label: str) -> str:
     """A column's title in lines no wider than its pictures; variants break at their commas."""
-    lines = textwrap.wrap(label.replace(",", ", "), TITLE_WIDTH, break_on_hyphens=False)
+    lines = textwrap.wrap(
+        label.replace(",", ", "),
+        TITLE_WIDTH,
+        break_on_hyphens=False,
+        max_lines=TITLE_LINES,
+        placeholder=" ...",
+    )
     return "\n".join(lines) or label
 
 

@@ -16,7 +16,7 @@ It (``experiments/<paper>/<table>.yaml``) holds only its differences from ``conf
     chart: {x: time/frame, y: psnr/indirect}
     charts: [{file: size, x: bytes/model, y: psnr/indirect}]      # further ones: chart_size.svg
     enough: {y: psnr/indirect, x: bytes/model, within: 0.5}       # prt.bench.enough: the smallest that does
-    differences: {y: psnr/indirect, split: far}  # prt.bench.differences: each row less the first, in place of chart
+    differences: {y: psnr/indirect, split: far}  # prt.bench.differences: in place of the chart
     figure:                      # rows may also have split, component, label, crops
       component: indirect
       columns: ["neural_prt", "wavelet_neural[wavelets=16]"]      # by default all
