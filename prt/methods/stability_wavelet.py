@@ -4,7 +4,7 @@ Called by ``prt table raghavan2023/stability``, ``flicker`` and the like; Neural
 """
 
 import dataclasses
-import statistics
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,12 @@ def row(metric: str, value: float, variant: str, n: int) -> dict[str, Any]:
     """A row of ``results.csv``; all is of indirect light."""
     place = {"device": "", "variant": variant, "component": "indirect"}
     return {**place, "metric": metric, "value": float(value), "lo": None, "hi": None, "n": n}
+
+
+def averaged(metric: str, values: Sequence[float], variant: str) -> dict[str, Any]:
+    """A row of the mean over views with its interval."""
+    interval = mean_interval(values)
+    return row(metric, interval.mean, variant, len(values)) | {"lo": interval.lo, "hi": interval.hi}
 
 
 # ---- a light that moves
@@ -107,12 +113,7 @@ def flicker(
             }
             for metric, value in figures.items():
                 found.setdefault((f"selection={key[0]},wavelets={key[1]}", metric), []).append(value)
-    rows = []
-    for (variant, metric), values in found.items():
-        interval = mean_interval(values)
-        bounds = {"lo": interval.lo, "hi": interval.hi}
-        rows.append(row(f"flicker/{metric}", interval.mean, variant, len(values)) | bounds)
-    return rows
+    return [averaged(f"flicker/{metric}", values, variant) for (variant, metric), values in found.items()]
 
 
 def rms(values: Tensor) -> float:
@@ -220,7 +221,7 @@ def unlike_lights(
             if number == 0:
                 pictures.append((kind, reference, image))
         if kind != "black":
-            rows += [row(m, statistics.fmean(v), f"lighting={kind}", len(v)) for m, v in found.items()]
+            rows += [averaged(metric, values, f"lighting={kind}") for metric, values in found.items()]
     draw_lights(pictures, name, folder / f"lights_{task.scene.name}_{name}.png")
     return rows
 
@@ -274,7 +275,7 @@ def views_outside(task: Any, model: Method, distances: list[float], views: int) 
             image = item.gbuffer.image(model.shade(item.gbuffer, model.light(item.lighting)))
             values.append(evaluate(image, reference, ["psnr"])["psnr"])
         if values:
-            rows.append(row("psnr", statistics.fmean(values), f"distance={distance:g}", len(values)))
+            rows.append(averaged("psnr", values, f"distance={distance:g}"))
     return rows
 
 
