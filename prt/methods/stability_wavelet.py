@@ -193,7 +193,9 @@ def unlike_lights(
 
     ``psnr``, ``chroma/shift`` (how far the mean hue moves: a tone shift) and ``error/relative`` (root mean
     square error over the root mean square of the reference). Black gives no reference to divide by: its row
-    is the largest radiance, ``error/black``, which has to be 0.
+    is the largest radiance, ``error/black``, which has to be 0. Light transport is linear: under a multiple
+    of a test lighting ``error/scaled`` is how far the image, divided by the factor, is from that under the
+    lighting itself.
 
     Writes ``lights_<scene>_<name>.png``: reference and prediction of the first view under every kind.
 
@@ -207,7 +209,8 @@ def unlike_lights(
     for kind in track(kinds, "lights unlike training", len(kinds)):
         found: dict[str, list[float]] = {"psnr": [], "chroma/shift": [], "error/relative": []}
         for number, view in enumerate(shown):
-            lighting = unlike(lightings[number % len(names)], kind)
+            usual = lightings[number % len(names)]
+            lighting = unlike(usual, kind)
             title = f"{names[number % len(names)]} {kind}"
             item = task.test_item("unlike", f"far{number:02d}", view, title, lighting)
             reference = item.references["indirect"]
@@ -218,6 +221,11 @@ def unlike_lights(
             found["psnr"].append(evaluate(image, reference, ["psnr"])["psnr"])
             found["chroma/shift"].append(chroma_shift(image, reference))
             found["error/relative"].append(float((image - reference).norm() / reference.norm()))
+            factor = float(lighting.sum() / usual.sum())
+            if torch.allclose(lighting, factor * usual, rtol=1e-4, atol=0):
+                plain = item.gbuffer.image(model.shade(item.gbuffer, model.light(usual)))
+                scaled = float((image / factor - plain).norm() / plain.norm())
+                found.setdefault("error/scaled", []).append(scaled)
             if number == 0:
                 pictures.append((kind, reference, image))
         if kind != "black":

@@ -44,7 +44,7 @@ _ALL = (
         "RMSE over that of the projection into the method's own basis.",
     ),
     Diagnostic("error/", "error", "lower", "", True,
-               "Root mean square error over a set of test lightmaps, over their root mean square."),
+               "Root mean square error over the root mean square of what it is compared with."),
     Diagnostic("basis/", "elements", "lower", "", True, "Elements of a basis."),
     Diagnostic("condition/", "condition number", "lower", "", True,
                "Largest over smallest singular value of the matrix that is inverted."),

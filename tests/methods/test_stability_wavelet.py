@@ -88,6 +88,8 @@ def test_lights_unlike_training(tiny_task, model, own_cache, tmp_path):
     error = values(rows, "error/relative")
     # linear in the lighting: a thousand times the light is a thousand times the image
     assert error["lighting=bright"] == pytest.approx(error["lighting=same"], rel=1e-3)
+    scaled = values(rows, "error/scaled")
+    assert set(scaled) == {"lighting=same", "lighting=bright"} and max(scaled.values()) < 1e-4
     assert values(rows, "error/black") == {"lighting=black": 0.0}
     assert set(values(rows, "chroma/shift")) == {"lighting=same", "lighting=red", "lighting=bright"}
     assert (tmp_path / "lights_cornell_glossy_wavelet_neural.png").stat().st_size > 1000
