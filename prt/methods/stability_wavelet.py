@@ -31,8 +31,6 @@ from prt.scene.view import View
 FLICKER_SEEDS = (77_000, 77_001)
 #: wavelets of a frame and their coefficients (k,) and (k, 3)
 Kept = tuple[Tensor, Tensor]
-#: stands for the whole lighting among selections
-WHOLE = ("whole", 0)
 #: pixels and wavelets the network is asked for at a time
 PIXELS, WAVELETS = 1024, 128
 #: settings of :class:`SteadySelection` by name
@@ -97,10 +95,8 @@ def flicker(
         scale = independent_rms(*truths)
         keys = [(n, count) for count in wavelets for n in (*haar.SELECTIONS, *STEADY)]
         kept = {key: followed(model, turning, *key) for key in keys}
-        images = shaded(
-            model, gbuffer, {**kept, WHOLE: [whole_light(model, lighting) for lighting in turning]}
-        )
-        whole = images.pop(WHOLE)
+        images = shaded(model, gbuffer, kept)
+        whole = shaded(model, gbuffer, {"whole": [whole_light(model, light) for light in turning]})["whole"]
         found.setdefault(("selection=none", "jump"), []).append(rms(second_difference(whole)) / scale)
         jumps = {key: rms(second_difference(image - whole)) for key, image in images.items()}
         for key in keys:
