@@ -172,10 +172,11 @@ def sheet(spec: "Spec", results: pd.DataFrame, column: str = "value", title: str
     keys = ["scene", "method", "variant", "component", *(["split"] if any(results["split"]) else [])]
     out = Sheet(title, keys, [("", heads)], [])
     for place, rows in _shared(results, keys).groupby(keys, sort=False):
-        scene, method, *rest = (str(part) for part in place)  # pyright: ignore
+        scene, method, variant, *rest = (str(part) for part in place)  # pyright: ignore
         found = {row.metric: row for row in rows.itertuples()}
         cells = [Entry([figure(found[m], column) if m in found else layout.MISSING]) for m in metrics]
-        lead = [spec.labels.get(scene, scene), spec.labels.get(method, method), *rest]
+        said = spec.labels.get(f"{method}[{variant}]", variant)
+        lead = [spec.labels.get(scene, scene), spec.labels.get(method, method), said, *rest]
         out.rows.append((lead, cells))
     return out
 

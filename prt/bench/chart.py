@@ -215,7 +215,7 @@ def draw(results: pd.DataFrame, layout: Layout, settings: dict, note: str = "") 
 
 def _title(p: Point, layout: Layout, x: Axis, y: Axis) -> str:
     """What a point says of itself."""
-    name = layout.method_label(p.method, join_variant(p.variant, DENOISED if p.denoised else ""))
+    name = layout.method_label(p.method, p.variant, DENOISED if p.denoised else "")
     across = [v * x.scale for v in (p.x, math.nan, p.x_hi if is_cost(x.metric) else math.nan)]
     return says(
         f"{name}, {layout.label(p.scene)}",

@@ -50,11 +50,15 @@ def measured(
         }
         (first, base), *others = rows.items()
         found[scene] = [
-            (variant or plan.label(method) if method == first[0] else plan.method_label(method, variant),
-             image_interval(values - base))
+            (
+                plan.variant_label(method, variant) or plan.label(method)
+                if method == first[0]
+                else plan.method_label(method, variant),
+                image_interval(values - base),
+            )
             for (method, variant), values in others
             if len(values) and values.index.equals(base.index)
-        ]  # fmt: skip
+        ]
     return {scene: rows for scene, rows in found.items() if rows}
 
 

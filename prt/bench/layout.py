@@ -36,7 +36,7 @@ class Layout:
     as_is: list[str] = field(default_factory=list)  #: methods shown only without denoising after them
     #: names of the views whose test items count, ``*`` for any text; empty for all
     views: list[str] = field(default_factory=list)
-    #: of methods and scenes, where the name is not enough
+    #: of methods and scenes, and as ``method[variant]`` of what a row varies, where the name is not enough
     labels: dict[str, str] = field(default_factory=dict)
 
     def label(self, name: str) -> str:
@@ -48,8 +48,14 @@ class Layout:
         """Variant tokens under which a method is shown: as it renders, then denoised."""
         return [""] if method in self.as_is else ["", DENOISED]
 
-    def method_label(self, method: str, variant: str) -> str:
-        return self.label(method) + (f" ({variant})" if variant else "")
+    def variant_label(self, method: str, variant: str) -> str:
+        """What a row varies, in words where ``labels`` has some."""
+        return self.labels.get(f"{method}[{variant}]", variant)
+
+    def method_label(self, method: str, variant: str, token: str = "") -> str:
+        """A row's name; ``token`` is said after what it varies, as that it is denoised."""
+        said = join_variant(self.variant_label(method, variant), token)
+        return self.label(method) + (f" ({said})" if said else "")
 
     def chosen(self, names: Sequence[str], what: str) -> list[tuple[str, str]]:
         """The (method, variant) meant by ``names``: labels, ``method[variant]``, or methods in all variants.

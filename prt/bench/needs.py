@@ -1,14 +1,23 @@
 """``prt needs``: what a scene asks of a model, and what to use, without training anything."""
 
+import dataclasses
+import json
 import time
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
+from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.table import Table
 
 from prt.bench import compose
 from prt.bench.run import build_task
+from prt.cache import settings_key, write_atomically
 from prt.errors import PrtError
+from prt.paths import cache_folder
+
+if TYPE_CHECKING:
+    from prt.tasks.needs import Need
 
 
 def main(overrides: Sequence[str]) -> int:
@@ -21,14 +30,10 @@ def main(overrides: Sequence[str]) -> int:
         PrtError: for a mistake in the overrides, or a scene that cannot be measured.
     """
     from prt.methods.advice import advise
-    from prt.tasks.needs import MEASURES, measure
 
     started = time.monotonic()
     cfg = compose.compose(with_task(overrides))
-    task = build_task(cfg)
-    if task.name not in MEASURES:
-        raise PrtError(f"task={task.name} has no measurements; choose one of {', '.join(MEASURES)}")
-    needs = measure(task)
+    needs = measured(cfg)
     shown = Table(title=f"{cfg.choice.scene} under {cfg.choice.lighting}", title_justify="left")
     shown.add_column("figure")
     shown.add_column("value", justify="right")
@@ -37,7 +42,7 @@ def main(overrides: Sequence[str]) -> int:
         shown.add_row(need.name, need.shown, need.about)
     console = Console(width=150)
     console.print(shown)
-    advice = advise(task.name, needs)
+    advice = advise(str(cfg.choice.task), needs)
     words = Table(title="Recommended", title_justify="left")
     for column in ("setting", "because"):
         words.add_column(column)
@@ -50,6 +55,25 @@ def main(overrides: Sequence[str]) -> int:
     )
     print(f"measured in {time.monotonic() - started:.0f} s, nothing was trained")
     return 0
+
+
+def measured(cfg: DictConfig) -> "list[Need]":
+    """The figures of a configuration's scene and lighting, from the cache where they were measured before.
+
+    Raises:
+        PrtError: for a task without measurements, or a scene that cannot be measured.
+    """
+    from prt.tasks.needs import MEASURES, VERSION, Need, measure
+
+    if cfg.choice.task not in MEASURES:
+        raise PrtError(f"task={cfg.choice.task} has no measurements; choose one of {', '.join(MEASURES)}")
+    parts = {key: OmegaConf.to_container(cfg[key]) for key in ("task", "scene", "lighting")}
+    path = cache_folder() / "needs" / f"{settings_key({'version': VERSION, **parts})}.json"
+    if path.is_file():
+        return [Need(**need) for need in json.loads(path.read_text())]
+    found = measure(build_task(cfg))
+    write_atomically(path, json.dumps([dataclasses.asdict(need) for need in found], indent=1).encode())
+    return found
 
 
 def with_task(overrides: Sequence[str]) -> list[str]:

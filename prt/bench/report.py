@@ -2,6 +2,7 @@
 
 import dataclasses
 import textwrap
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -10,7 +11,7 @@ from omegaconf import OmegaConf
 from rich.console import Console
 from rich.table import Table
 
-from prt.bench import chart, curve_charts, differences, enough, figure, layout, pictures, run_sheets
+from prt.bench import advised, chart, curve_charts, differences, enough, figure, layout, pictures, run_sheets
 from prt.bench.layout import Layout, Sheet
 from prt.bench.results import (
     NOISE_FLOOR,
@@ -40,12 +41,14 @@ def write_report(
     failed: dict[Cell, str] | None = None,
     references: figure.References | None = None,
     console: Console | None = None,
+    judge_advice: Callable[[pd.DataFrame, Layout], list[advised.Judged]] | None = None,
 ) -> None:
     """Write every file of ``spec.report`` and print the table.
 
     Args:
         failed: reasons of runs that failed without leaving a folder; the folders tell the others.
         references: reference images for the figure; without them there is no figure.
+        judge_advice: what the results say of the advice of ``prt needs``.
 
     Raises:
         PrtError: for damaged run folders, a wrong published file, or a folder that cannot be written.
@@ -73,10 +76,15 @@ def write_report(
     text = verdicts.to_csv(index=False, float_format="%.6g", lineterminator="\n")
     write_atomically(folder / "claims.csv", text.encode())
 
+    judged = judge_advice(results, plan) if judge_advice else []
+    if judged:
+        text = advised.table(judged).to_csv(index=False, float_format="%.6g", lineterminator="\n")
+        write_atomically(folder / "advice.csv", text.encode())
     notes = views_missing(plan, every_image)
     notes += draw_pictures(spec, plan, cells, every_image, results, references)
     write_atomically(
-        folder / "report.md", describe(spec, plan, cells, results, verdicts, reasons, sheets, notes).encode()
+        folder / "report.md",
+        describe(spec, plan, cells, results, verdicts, reasons, sheets, notes, judged).encode(),
     )
 
     # one table a split: all side by side would not fit a screen
@@ -174,7 +182,7 @@ def chart_note(cells: list[Cell]) -> str:
     )
 
 
-def describe(spec, plan: Layout, cells, results, verdicts, reasons, sheets, notes) -> str:
+def describe(spec, plan: Layout, cells, results, verdicts, reasons, sheets, notes, judged) -> str:
     """report.md: what was run where, what came out, what is missing and why."""
     done = [cell for cell in cells if cell.done]
     parts = [f"# {spec.title}", spec.about.strip()] if spec.about else [f"# {spec.title}"]
@@ -193,6 +201,7 @@ def describe(spec, plan: Layout, cells, results, verdicts, reasons, sheets, note
     ]
     smallest = enough.markdown(results, plan, spec.enough)
     parts += ["## What is enough", "\n".join(smallest)] if smallest else []
+    parts += ["## What `prt needs` advises", advised.markdown(judged, plan, spec.enough)] if judged else []
     if len(verdicts):
         parts += ["## Claims", claims_text(verdicts)]
     parts += ["## How it was run", how(done, spec.settings) if done else "No run has finished yet."]

@@ -82,6 +82,7 @@ class Spec:
     verb: str = "prt table"
     enough: dict[str, Any] = field(default_factory=dict)
     differences: dict[str, Any] = field(default_factory=dict)
+    advice: dict[str, Any] | None = None  #: whether that of ``prt needs`` is judged; None: it is not
     charts: list[dict[str, Any]] = field(default_factory=list)  #: further ones, each with its ``file``
 
     @property
@@ -91,7 +92,7 @@ class Spec:
 
 KEYS = (
     "title", "about", "grid", "common", "settings", "columns", "labels", "published", "claims", "chart",
-    "charts", "enough", "differences", "figure", "curves", "pictures", "benchmark", "without_data",
+    "charts", "enough", "advice", "differences", "figure", "curves", "pictures", "benchmark", "without_data",
 )  # fmt: skip
 PART_KEYS = {
     "without_data": ("grid", "common"),
@@ -99,6 +100,7 @@ PART_KEYS = {
     "chart": ("x", "y", "split", "target"),
     "enough": ("x", "y", "within", "split"),
     "differences": ("y", "split"),
+    "advice": ("scenes",),
     "figure": ("component", "split", "denoised", "rows", "columns"),
 }
 #: of every entry of a list
@@ -187,6 +189,8 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
         from prt.bench import enough  # knows charts, and so matplotlib, which other commands can do without
 
         enough.check(content["enough"])
+    if content.get("advice") is not None and not content.get("enough"):
+        raise PrtError(f"{path}: advice is judged against what is enough; give enough: {{x, y, within}}")
     if content.get("differences"):
         from prt.bench import differences
 
@@ -206,6 +210,7 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
         named_settings(path, content.get("settings") or {}, grid),
         *drawn(path, content), launcher, charts=charts,
         enough=content.get("enough") or {}, differences=content.get("differences") or {},
+        advice=content.get("advice"),
     )  # fmt: skip
 
 

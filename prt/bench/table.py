@@ -8,8 +8,9 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import pandas as pd
 from hydra.plugins.launcher import Launcher
 from omegaconf import DictConfig
 
@@ -23,6 +24,9 @@ from prt.bench.spec import Spec, find, has_matrix, load_spec
 from prt.cache import write_atomically
 from prt.errors import PrtError
 from prt.metrics.registry import METRICS
+
+if TYPE_CHECKING:
+    from prt.bench import advised
 
 #: grid axes with columns of their own in the results; all others make the variant
 NAMED = ("scene", "method", "seed")
@@ -74,7 +78,7 @@ def layout_of(spec: Spec, cells: Sequence[Cell]) -> Layout:
     """Order and labels of rows and columns, from the grid and ``columns``.
 
     Raises:
-        PrtError: for an unknown metric in ``columns``, or method in ``figure.columns``.
+        PrtError: for an unknown metric in ``columns``, method in ``figure.columns`` or row in ``labels``.
     """
     for metric in spec.columns.get("metrics", []):
         if metric not in METRICS:
@@ -84,6 +88,12 @@ def layout_of(spec: Spec, cells: Sequence[Cell]) -> Layout:
     scenes = list(dict.fromkeys(cell.scene for cell in cells))
     methods = list(dict.fromkeys((cell.method, cell.variant) for cell in cells))
     plan = Layout(scenes, methods, labels=spec.labels, **spec.columns)
+    if not spec.overrides:  # they may leave out rows that have labels
+        plan.chosen([name for name in spec.labels if "[" in name], f"{spec.path}: labels")
+        if unknown := [s for s in (spec.advice or {}).get("scenes", []) if s not in scenes]:
+            raise PrtError(
+                f"{spec.path}: advice.scenes: no scene {unknown[0]!r}; choose from {', '.join(scenes)}"
+            )
     plan.chosen(spec.figure.get("columns") or [], f"{spec.path}: figure.columns")
     return plan
 
@@ -208,11 +218,35 @@ def main(name: str, overrides: Sequence[str] = (), dry_run: bool = False) -> int
 
     from prt.bench.report import write_report
 
-    write_report(spec, layout, [cell for cell, _ in cells], failed, references=TaskReferences(dict(cells)))
+    write_report(
+        spec, layout, [cell for cell, _ in cells], failed, TaskReferences(dict(cells)),
+        judge_advice=lambda results, plan: judged(spec, cells, results, plan),
+    )  # fmt: skip
     if cost.runs:
         say(cost.text())
         cost.keep(spec.report / "cost.json")
     return 1 if failed else 0
+
+
+def judged(
+    spec: Spec, cells: Sequence[tuple[Cell, DictConfig]], results: pd.DataFrame, plan: Layout
+) -> "list[advised.Judged]":
+    """The advice of ``prt needs`` for the table's scenes against its results, where the table asks for it."""
+    if spec.advice is None:
+        return []
+    from prt.bench import advised, needs
+    from prt.methods.advice import advise
+
+    wanted = spec.advice.get("scenes") or plan.scenes
+    first = {cell.scene: cfg for cell, cfg in reversed(list(cells)) if cell.scene in wanted}
+    advice = {}
+    for scene in (scene for scene in plan.scenes if scene in first):
+        say(f"measuring what {scene} needs")
+        try:
+            advice[scene] = advise(str(first[scene].choice.task), needs.measured(first[scene]))
+        except PrtError as error:  # must not cost the report of finished runs
+            say(f"{scene}: no advice to judge: {error}")
+    return advised.judge(cells, results, plan, spec.enough, advice)
 
 
 def check_writable(folder: Path) -> None:

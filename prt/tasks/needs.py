@@ -19,6 +19,8 @@ from prt.trace.scene_needs import fewest
 from prt.trace.statistics import wavelet_scale
 from prt.trace.transport import Transport
 
+#: raised when equal settings give other figures
+VERSION = 1
 #: what may be lost of energy: of the lighting, and in two steps of the transport
 LOSS, FINE_LOSS = 0.01, 0.001
 #: views that are recorded, their pixels a side and paths a pixel

@@ -224,6 +224,16 @@ def test_labels_say_which_way_is_better(metric, label):
     assert layout.metric_label(metric) == label
 
 
+def test_what_a_row_varies_can_have_words_of_its_own():
+    labels = {"svd": "SVD", "svd[basis=4,lambda=0]": "four"}
+    plan = Layout(["box"], [("svd", "basis=4,lambda=0"), ("svd", "")], labels=labels)
+    assert plan.method_label("svd", "basis=4,lambda=0") == "SVD (four)"
+    assert plan.method_label("svd", "basis=4,lambda=0", "denoised") == "SVD (four,denoised)"
+    assert plan.method_label("svd", "", "denoised") == "SVD (denoised)"
+    assert plan.method_label("svd", "") == "SVD"
+    assert plan.chosen(["SVD (four)"], "figure") == [("svd", "basis=4,lambda=0")]
+
+
 def test_methods_are_chosen_by_label_by_name_and_by_variant():
     plan = Layout(["box"], [("svd", "basis=4"), ("svd", "basis=16"), ("nprt", "")], labels={"nprt": "NPRT"})
     assert plan.chosen(["NPRT", "svd[basis=16]"], "figure") == [("nprt", ""), ("svd", "basis=16")]

@@ -264,6 +264,15 @@ def test_a_method_the_figure_cannot_show_is_found_before_any_run(spec, tmp_path)
         table.layout_of(spec, cells)
 
 
+def test_a_label_of_a_row_that_the_table_lacks_is_an_error_unless_rows_were_left_out(spec, tmp_path):
+    spec.labels["neural_prt[size=3]"] = "Small"
+    cells = [make_run(tmp_path, "box", "neural_prt", state="absent")]
+    with pytest.raises(PrtError, match=r"labels: no method 'neural_prt\[size=3\]' .* choose from neural_prt"):
+        table.layout_of(spec, cells)
+    spec.overrides.append("method=neural_prt")
+    assert table.layout_of(spec, cells).method_label("neural_prt", "size=3").endswith("(Small)")
+
+
 def test_unknown_table_names_those_there_are(spec):
     with pytest.raises(PrtError, match="no table 'smal'; did you mean small"):
         table.load_spec("smal")
