@@ -1,5 +1,6 @@
 """``prt export``: a finished run as a film: a turntable, or a sequence of lightings, as PNG, EXR and MP4."""
 
+import io
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +11,7 @@ from PIL import Image
 from prt.bench.exr import write_exr
 from prt.bench.playback import Playback, to_bytes
 from prt.bench.run import say
+from prt.cache import write_atomically
 from prt.errors import PrtError
 from prt.metrics.tonemap import exposure_of
 from prt.progress import track
@@ -75,13 +77,9 @@ def write_png(path: Path, picture: np.ndarray) -> None:
     Raises:
         PrtError: if the folder cannot be written.
     """
-    temporary = path.with_suffix(".part.png")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(picture).save(temporary)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise PrtError(f"cannot write {path}: {error}; choose another with --output") from error
+    content = io.BytesIO()
+    Image.fromarray(picture).save(content, "PNG")
+    write_atomically(path, content.getvalue())
 
 
 def encoder():

@@ -5,13 +5,12 @@ import os
 import textwrap
 from pathlib import Path
 
-from omegaconf import OmegaConf
-
 from prt.bench import chart
 from prt.bench.chart import STYLE
 from prt.bench.hover import HoverFigure
 from prt.bench.matrix import Grade, Matrix, MatrixCell, as_results, read_matrix
 from prt.bench.results import write_results
+from prt.bench.spec import check_keys, read_yaml
 from prt.cache import write_atomically
 from prt.errors import PrtError
 
@@ -32,11 +31,8 @@ def main(name: str, path: Path, overrides: list[str], reports: Path = Path("repo
     Raises:
         PrtError: for a mistake in the YAML, or an override other than ``report=``.
     """
-    content = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
-    assert isinstance(content, dict)
-    for key in content:
-        if key not in ("title", "about", "matrix"):
-            raise PrtError(f"{path}: unknown key {key!r}; a matrix has title, about and matrix")
+    content = read_yaml(path)
+    check_keys(path, "", content, ("title", "about", "matrix"))
     folder = reports / name
     for text in overrides:
         key, _, value = text.partition("=")

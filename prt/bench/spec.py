@@ -111,6 +111,21 @@ ENTRY_KEYS = {
 }
 
 
+def read_yaml(path: Path) -> dict[str, Any]:
+    """The pairs of a YAML file, references resolved; empty where it has none.
+
+    Raises:
+        PrtError: where it cannot be read, or is no YAML.
+    """
+    try:
+        content = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
+    except (OmegaConfBaseException, ValueError, OSError) as error:
+        raise PrtError(f"cannot read {path}: {' '.join(str(error).split())}") from error
+    except Exception as error:  # the YAML parser's own errors have no common base here
+        raise PrtError(f"{path} is no YAML: {' '.join(str(error).split())}") from error
+    return {str(key): value for key, value in content.items()} if isinstance(content, dict) else {}
+
+
 def check_keys(path: Path, part: str, given: dict[str, Any], allowed: Sequence[str]) -> None:
     """A misspelt key is an error, not a setting nobody reads."""
     for key in given:
@@ -138,13 +153,7 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
         PrtError: for an unknown table or key, a grid without scenes or methods, a wrong claim or override.
     """
     path = find(name)
-    try:
-        content = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
-    except (OmegaConfBaseException, ValueError, OSError) as error:
-        raise PrtError(f"cannot read {path}: {' '.join(str(error).split())}") from error
-    except Exception as error:  # the YAML parser's own errors have no common base here
-        raise PrtError(f"{path} is no YAML: {' '.join(str(error).split())}") from error
-    content = content if isinstance(content, dict) else {}
+    content = read_yaml(path)
     check_keys(path, "", content, KEYS)
     for part, allowed in PART_KEYS.items():
         check_keys(path, part, content.get(part) or {}, allowed)
