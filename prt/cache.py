@@ -143,8 +143,11 @@ def write_checked(path: Path, tensors: Tensors) -> None:
     write_atomically(path, hashlib.sha256(body).digest() + body)
 
 
-def write_atomically(path: Path, content: bytes) -> None:
+def write_atomically(path: Path, content: bytes, instead: str = "PRT_CACHE, run.folder") -> None:
     """Put ``content`` at ``path`` through a temporary file in the same folder.
+
+    Args:
+        instead: what chooses another folder, for the error.
 
     Raises:
         PrtError: if the folder cannot be made or written.
@@ -164,6 +167,6 @@ def write_atomically(path: Path, content: bytes) -> None:
         if isinstance(error, OSError):
             raise PrtError(
                 f"cannot write {path}: {error.strerror or error}; "
-                "choose another folder (PRT_CACHE, run.folder) or free the disk"
+                f"choose another folder ({instead}) or free the disk"
             ) from error
         raise

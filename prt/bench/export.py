@@ -79,7 +79,7 @@ def write_png(path: Path, picture: np.ndarray) -> None:
     """
     content = io.BytesIO()
     Image.fromarray(picture).save(content, "PNG")
-    write_atomically(path, content.getvalue())
+    write_atomically(path, content.getvalue(), "--output")
 
 
 def encoder():

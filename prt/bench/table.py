@@ -252,7 +252,7 @@ def judged(
 def check_writable(folder: Path) -> None:
     """Raises PrtError where the report could not be written."""
     probe = folder / ".writable"
-    write_atomically(probe, b"")
+    write_atomically(probe, b"", "report=")
     probe.unlink()
 
 
