@@ -391,6 +391,17 @@ def test_a_render_is_not_black(asset):
     assert images[6].mean() > 1.02 * images[2].mean(), "no light between the hairs"
 
 
+def test_hair_that_takes_nothing_sends_on_all_that_it_gets():
+    from prt.light.local import LightRig
+    from prt.trace.rig import LitAsset
+
+    white = hairball(strands=60, eumelanin=0.0, pheomelanin=0.0, max_depth=200).asset()
+    lit = LitAsset(white)
+    del lit.integrators["direct"]  # which would be taken away from what leaves
+    sent = lit.lightmap(LightRig(environment=torch.ones(6, 4, 4, 3)), white.sites(), 32, seed=0)
+    assert sent.mean().item() == pytest.approx(1.0, abs=0.02)
+
+
 def test_scenes_share_one_shape(asset):
     shapes = [asset.load(emitters).shapes() for emitters in ({}, LIGHT)]
     assert len(shapes[0]) == len(shapes[1]) == 1 and shapes[0][0] is shapes[1][0]
