@@ -69,7 +69,7 @@ def gather(
     Args:
         settings: ``rows``, a list of {scene, split, view, lighting, component, label, crops}, of which only
             ``scene`` must be given (by default every scene); view and lighting are names or places in the
-            list of tests; ``label`` stands in place of the scene's. ``component`` (``indirect``), ``split``
+            list of tests; ``label`` stands in place of the scene's. ``component`` (the table's), ``split``
             (the first column's) and ``denoised`` (true where there are denoised images) hold for all rows;
             ``columns`` lists the methods that are shown, as :meth:`Layout.chosen` reads them.
 
@@ -80,7 +80,8 @@ def gather(
     methods = shown_methods(layout, settings)
     wanted = settings.get("rows") or [{"scene": scene} for scene in layout.scenes]
     for entry in wanted:
-        entry = {"component": "indirect", "split": layout.splits[0], **settings, **entry}
+        usual = "indirect" if "indirect" in layout.components else layout.components[0]
+        entry = {"component": usual, "split": layout.splits[0], **settings, **entry}
         scene, split = entry["scene"], entry["split"]
         tests = images[(images["scene"] == scene) & (images["split"] == split)]
         if scene not in layout.scenes or not len(tests):

@@ -64,6 +64,12 @@ class MatrixCell:
     because: str
     where: str = ""
 
+    @property
+    def way_to_bad(self) -> float:
+        """How far the figure has come from ``good`` (0) to ``bad`` (1) and beyond; 0 where there is none."""
+        way = (self.value - self.good) / (self.bad - self.good) if self.bad != self.good else 0.0
+        return way if math.isfinite(way) else 0.0
+
 
 @dataclasses.dataclass(frozen=True)
 class Matrix:
@@ -78,7 +84,7 @@ class Matrix:
         """The cells of a place, worst first."""
         order = ("fails", "degrades", "missing", "holds", "none")
         found = [cell for cell in self.cells if (cell.row, cell.column) == (row, column)]
-        return sorted(found, key=lambda cell: order.index(cell.grade))
+        return sorted(found, key=lambda cell: (order.index(cell.grade), -cell.way_to_bad))
 
 
 def read_matrix(path: Path, given: Any, reports: Path) -> Matrix:

@@ -27,6 +27,7 @@ from prt.bench.verdicts import SCOPES, Evidence, judge
 from prt.cache import write_atomically
 from prt.metrics.diagnostics import diagnostic_of
 from prt.metrics.registry import METRICS
+from prt.metrics.tonemap import PERCENTILE, TARGET
 
 if TYPE_CHECKING:
     from prt.bench.spec import Spec
@@ -320,6 +321,12 @@ def missing_text(plan: Layout, results: pd.DataFrame, reasons: dict, notes: list
 def definitions(plan: Layout, results: pd.DataFrame) -> str:
     """The metrics' own definitions, those of the diagnostics beside them, and what means are taken over."""
     lines = [f"- {METRICS[m].label}: {METRICS[m].definition}" for m in plan.metrics]
+    displayed = [METRICS[m].label for m in plan.metrics if METRICS[m].domain == "srgb"]
+    if displayed:
+        lines.append(
+            f"- {', '.join(displayed)}: of images as displayed: one exposure for both, the reference's "
+            f"{PERCENTILE:g}th percentile to {TARGET:g}, clipped to [0, 1], sRGB; background included."
+        )
     for diagnostic in dict.fromkeys(map(diagnostic_of, results["metric"])):
         if diagnostic is not None:
             lines.append(f"- {diagnostic.label or diagnostic.name}: {diagnostic.definition}")

@@ -182,7 +182,8 @@ class Baking:
 
     def __getattr__(self, name: str) -> Any:
         value = self._clocked(lambda: getattr(self._task, name))
-        if not callable(value) or name == "scene":
+        # images that a method has rendered as it learns are a part of its learning
+        if not callable(value) or name in ("scene", "render"):
             return value
 
         @functools.wraps(value)

@@ -18,6 +18,8 @@ COSTS = [
     ("time/frame", "frame (ms)", 1e3),
     ("bytes/model", "model (MB)", 1e-6),
 ]  # fmt: skip
+#: the part of a frame's costs that is no part of the frame
+MOVE = "move twice"
 #: seconds of baking below which nothing was baked: only the clock was read
 BAKED = 1e-3
 
@@ -53,6 +55,12 @@ def cost_sheet(results: pd.DataFrame, layout: Layout) -> Sheet:
         sheet.notes.append(
             "bake is spent once per scene on the data that a method is fitted to; data found in the cache "
             "cost only their reading."
+        )
+    if MOVE in parts:
+        parts.remove(MOVE)
+        sheet.notes.append(
+            f"{MOVE}: two changes of the scene's state, which come before a frame and are no part of it: the "
+            "first frame of a new state takes half of that longer."
         )
     if parts:
         sheet.notes.append(f"{', '.join(parts)}: parts of light and shade, each timed by itself.")

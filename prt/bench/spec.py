@@ -261,17 +261,27 @@ def drawn(path: Path, content: dict[str, Any]) -> "tuple[list[Curve], list[Pictu
 
 
 def named_settings(path: Path, given: dict[str, Any], grid: dict[str, list[str]]) -> dict[str, list[str]]:
-    """The overrides of single methods or scenes; those the command line left out are not needed."""
-    known = composer.choices("method") + composer.choices("scene")
+    """The overrides of single methods, scenes, and methods on one scene (``scene/method``).
+
+    Those of what the command line left out are not needed.
+    """
+    methods, scenes = composer.choices("method"), composer.choices("scene")
     for name in given:
-        if name not in known:
-            hint = composer.near(str(name), known)
+        scene, both, method = str(name).partition("/")
+        if both and scene in scenes and method in methods:
+            continue
+        if both or name not in methods + scenes:
+            hint = composer.near(str(name), methods + scenes)
             raise PrtError(
-                f"{path}: settings names {name!r}, which is no method or scene{hint}; choose from "
-                f"{', '.join(known)}"
+                f"{path}: settings names {name!r}, which is no method, scene or scene/method{hint}; choose "
+                f"from {', '.join(methods + scenes)}"
             )
     chosen = {value.split()[0] for axis in ("method", "scene") for value in grid.get(axis, [])}
-    return {name: [str(text) for text in _listed(given[name])] for name in given if name in chosen}
+    return {
+        name: [str(text) for text in _listed(given[name])]
+        for name in given
+        if all(part in chosen for part in str(name).split("/"))
+    }
 
 
 def find(name: str) -> Path:

@@ -47,6 +47,8 @@ def grid_overrides(spec: Spec) -> list[tuple[list[str], str]]:
             overrides.append(f"{axis}={first}")
             overrides += extra
             variant += [short(text) for text in ([] if axis in NAMED else [f"{axis}={first}"]) + extra]
+        named = {axis: value.split()[0] for axis, value in zip(axes, values, strict=True)}
+        of_named += spec.settings.get(f"{named['scene']}/{named.get('method', '')}", [])
         # the command line's settings are in common and win
         found.append(([*of_named, *spec.common, *overrides], ",".join(variant)))
     return found

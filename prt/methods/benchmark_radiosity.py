@@ -129,8 +129,9 @@ def fine_tuning(
     static = fitted(task, method, encoding="static", static_state=before)
     needed = None
     taken, seconds = 0, 0.0
+    tuning = Tuning(task, static, after)
     for goal in steps:
-        seconds += tune(task, static, after, goal - taken)
+        seconds += tuning.go_on(goal - taken)
         taken = goal
         error = mape_of(static, items)
         rows.append(row("mape", error, f"steps={goal}", "static_radiosity"))
@@ -142,26 +143,28 @@ def fine_tuning(
     return rows
 
 
-def tune(task: Any, model: DynamicRadiosity, state: list[float], steps: int) -> float:
-    """Carry a static network on in another state; returns the seconds taken."""
-    if steps <= 0:
-        return 0.0
-    model.static_state = list(state)
-    settings = model.training
-    task.stage.set(state)
-    residual = Residual(
-        model, SurfaceStates(task.stage.mi_scene, task.walk_views()), task.dimension,
-        torch.Generator().manual_seed(1),
-    )  # fmt: skip
-    # the directions that the fit had in the end, and rates as at its beginning, once decayed
-    residual.step = settings["steps"] - steps
-    optimiser = model.optimiser(settings["decay"])
-    started = time.monotonic()
-    for _ in range(steps):
-        optimiser.zero_grad(set_to_none=True)
-        residual.loss().backward()
-        optimiser.step()
-    return time.monotonic() - started
+class Tuning:
+    """A static network that is carried on in another state: with one optimiser and generator."""
+
+    def __init__(self, task: Any, model: DynamicRadiosity, state: list[float]):
+        model.static_state = list(state)
+        task.stage.set(state)
+        self.residual = Residual(
+            model, SurfaceStates(task.stage.mi_scene, task.walk_views()), task.dimension,
+            torch.Generator().manual_seed(1),
+        )  # fmt: skip
+        # the directions that the fit had in the end, and rates as at its beginning, once decayed
+        self.residual.step = model.training["steps"]
+        self.optimiser = model.optimiser(model.training["decay"])
+
+    def go_on(self, steps: int) -> float:
+        """So many further steps; returns the seconds taken."""
+        started = time.monotonic()
+        for _ in range(steps):
+            self.optimiser.zero_grad(set_to_none=True)
+            self.residual.loss().backward()
+            self.optimiser.step()
+        return time.monotonic() - started
 
 
 def variables(task: Any, states: int, spp: int, size: int, seed: int = 11) -> list[dict[str, Any]]:

@@ -284,9 +284,10 @@ class Residual:
         return int(torch.randint(1 << 31, (1,), generator=self.generator))
 
     def samples(self) -> int:
-        """M of this step."""
+        """M of this step; beyond the last as there."""
         settings = self.method.training
         fifth = FIFTHS * (self.step - 1) // settings["steps"] if settings["adaptive"] else 0
+        fifth = min(fifth, FIFTHS - 1)
         return settings["samples"] * 2**fifth
 
     def scale(self) -> float:

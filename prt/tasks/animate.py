@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import itertools
 import math
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,8 @@ FRAME_VERSION = 1
 REFERENCE_SEED = 9_000_000
 #: how far outside of the cube the states of the split ``outside`` lie
 BEYOND = 0.25
+#: splits whose states are drawn: they are seen by the same cameras, and so can be compared
+RANDOM = ("inside", "corners", "outside")
 
 
 class Animate:
@@ -42,10 +45,10 @@ class Animate:
         scene: a :class:`Scene` with lights of its own, and an animation (without one, n = 0).
         lighting: :class:`OwnLights`.
         states: test states, uniform in the cube, each seen from a view of its own (split ``inside``).
-        corners: test states at corners of the cube.
-        outside: test states with one variable beyond the cube by a quarter of its range.
+        corners: test states at corners of the cube, seen from the same views.
+        outside: test states with one variable beyond the cube by a quarter of its range; the same views.
         path_steps: states along a line through the cube from one view, for flicker; 0 for none.
-        given: further test states, listed (split ``given``).
+        given: further test states, listed (split ``given``), each from a further view.
         size: pixels a side.
         spp: paths a pixel of a reference, both halves together.
         reference_denoise: denoise each half of a reference with its G-buffer; ``mape/noise`` is what is left.
@@ -173,10 +176,15 @@ class Animate:
         states = self.test_states()
         if not states:
             raise PrtError("task=animate has no test states; raise task.states")
-        views = self.scene.views("far", len(states), self.size)
+        counts = Counter(split for split, _, _ in states)
+        alike = max(counts[split] for split in RANDOM)
+        views = self.scene.views("far", max(alike + counts["given"], 1), self.size)
+        seen: Counter[str] = Counter()
         jobs = []
-        for i, (split, name, v) in enumerate(states):
-            place = 0 if split == "path" else i
+        for split, name, v in states:
+            # random states of every kind are seen by the same cameras, given ones by further ones
+            place = 0 if split == "path" else seen[split] + (alike if split == "given" else 0)
+            seen[split] += 1
             jobs.append((split, name, v, f"view{place:02d}", views[place]))
         return [self._item(*job) for job in track(jobs, f"references, {self.scene.name}", len(jobs))]
 

@@ -207,6 +207,31 @@ def test_further_axes_and_overrides_make_the_variant(spec, tmp_path):
     assert "+a.b=0.5" in runs[2][0] and "method.wavelets=16" in runs[2][0]
 
 
+def test_settings_of_a_method_on_one_scene(spec, tmp_path):
+    text = (
+        YAML
+        + "settings: {neural_prt: [a=5], box/neural_prt: [a=7], den: [b=1], bathroom/neural_prt: [a=9]}\n"
+    )
+    text = (
+        text.replace("[box, den]", "[kitchen, bathroom]")
+        .replace("box/", "kitchen/")
+        .replace("den:", "kitchen:")
+    )
+    text = text.replace("{scene: box}", "{scene: kitchen}").replace(
+        "[kitchen, bathroom]", "[kitchen, alcove]"
+    )
+    (tmp_path / "experiments" / "set.yaml").write_text(text)
+    spec = table.load_spec("set")
+    assert list(spec.settings) == ["neural_prt", "kitchen/neural_prt", "kitchen"], (
+        "the bathroom is not in the grid"
+    )
+    found = {tuple(words[-3:-1]): words for words, _ in table.grid_overrides(spec)}
+    mine = found["scene=kitchen", "method=neural_prt"]
+    assert mine.index("a=7") > mine.index("a=5") and "b=1" in mine, "the closest wins"
+    assert "a=7" not in found["scene=alcove", "method=neural_prt"]
+    assert "a=7" not in found["scene=kitchen", "method=wavelet_neural"]
+
+
 def test_settings_of_one_method_are_no_variant_and_yield_to_the_command_line(spec, tmp_path):
     text = YAML + "settings: {neural_prt: [method.training.steps=5]}\n"
     (tmp_path / "experiments" / "set.yaml").write_text(text)
@@ -224,7 +249,7 @@ def test_settings_of_one_method_are_no_variant_and_yield_to_the_command_line(spe
     [
         (
             ("common:", "settings: {neural_prd: [a=1]}\ncommon:"),
-            "neural_prd', which is no method or scene; did you mean neural_prt",
+            "neural_prd', which is no method, scene or scene/method; did you mean neural_prt",
         ),
         (("grid:", "gird:"), "unknown key 'gird'; did you mean grid"),
         (("claims:", "claims: [nonsense]\nclaim:"), "unknown key 'claim'"),

@@ -68,6 +68,20 @@ def test_without_variables_and_with_given_states():
     assert item.split == "given" and item.lighting.tolist() == [0.25, 1.0]
 
 
+def test_states_of_all_kinds_are_seen_by_the_same_cameras():
+    where = task(
+        "task.states=2", "task.corners=2", "task.outside=2", "task.path_steps=2", "task.given=[[0.5,0.5]]"
+    )
+    seen = {}
+    for item in where.tests():
+        seen.setdefault(item.split, []).append(item.gbuffer.view)
+    assert seen["inside"] == seen["corners"] == seen["outside"] and seen["inside"][0] != seen["inside"][1]
+    assert seen["path"] == [seen["inside"][0]] * 2
+    assert seen["given"][0] not in seen["inside"]
+    (alone,) = task("task.states=1").tests()
+    assert alone.gbuffer.view == where.scene.views("far", 1, 16)[0]
+
+
 def test_bounds_hold_the_geometry_in_every_state():
     where = task("scene.variables=3")
     low, high = where.bounds
