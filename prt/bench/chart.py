@@ -20,6 +20,7 @@ from prt.bench.results import DENOISED, direction_of, is_cost, join_variant, mea
 from prt.errors import PrtError
 from prt.metrics.diagnostics import diagnostic_of
 from prt.metrics.registry import METRICS
+from prt.savefig import save_png
 
 #: Okabe and Ito's colours, told apart under all common colour-vision deficiencies
 COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"]
@@ -308,4 +309,4 @@ def write(figure: HoverFigure, folder: Path, name: str = "chart", creator: str |
         figure.save_svg(
             folder / f"{name}.svg", metadata={"Date": None, **({"Creator": creator} if creator else {})}
         )
-        figure.savefig(folder / f"{name}.png", dpi=170, metadata={"Software": None})
+        save_png(figure, folder / f"{name}.png", dpi=170)

@@ -17,10 +17,13 @@ from prt.bench.hover import HoverFigure
 from prt.bench.layout import Layout, split_name
 from prt.bench.results import direction_of, image_interval, over_seeds
 from prt.errors import PrtError
-from prt.metrics.intervals import Interval
+from prt.metrics.intervals import Interval, Verdict, better
 
-#: of a change that makes it better, worse, or neither for sure
-LOOKS = {"better": (COLOURS[0], "o"), "worse": (COLOURS[1], "s"), "undecided": ("#888888", "D")}
+#: of a change that makes it better, worse, or neither for sure: its name, colour and marker
+LOOKS: dict[Verdict, tuple[str, str, str]] = {
+    "holds": ("better", COLOURS[0], "o"), "fails": ("worse", COLOURS[1], "s"),
+    "undecided": ("undecided", "#888888", "D"),
+}  # fmt: skip
 
 
 def check(settings: dict[str, Any]) -> None:
@@ -77,7 +80,7 @@ def draw(images: pd.DataFrame, plan: Layout, settings: dict[str, Any]) -> HoverF
         for axis, (scene, rows) in zip(panels, found.items(), strict=True):
             axis.axvline(0, color="#555555", lw=0.8)
             for down, (name, interval) in enumerate(rows):
-                colour, marker = LOOKS[verdict(interval, direction_of(y.metric))]
+                _, colour, marker = LOOKS[better(interval, direction_of(y.metric))]
                 axis.plot([interval.lo, interval.hi], [down, down], color=colour, lw=1.4)
                 axis.plot([interval.mean], [down], marker, color=colour, ms=5)
                 figure.point(
@@ -93,13 +96,7 @@ def draw(images: pd.DataFrame, plan: Layout, settings: dict[str, Any]) -> HoverF
             axis.set_xlabel(f"{y.label}, {split_name(split)}, less that of the first row")
         handles = [
             matplotlib.lines.Line2D([], [], color=colour, marker=marker, ms=5, label=name)
-            for name, (colour, marker) in LOOKS.items()
+            for name, colour, marker in LOOKS.values()
         ]
         figure.legend(handles=handles, loc="outside lower right", ncols=3, frameon=False, fontsize=7.5)
     return figure
-
-
-def verdict(interval: Interval, direction: str) -> str:
-    """``better`` or ``worse`` where the whole interval lies on one side of zero."""
-    low, high = (interval.lo, interval.hi) if direction == "higher" else (-interval.hi, -interval.lo)
-    return "better" if low > 0 else "worse" if high < 0 else "undecided"

@@ -22,6 +22,7 @@ from prt.bench.panels import REFERENCE, PanelFigure
 from prt.bench.results import DENOISED, Cell, join_variant
 from prt.errors import PrtError
 from prt.metrics.tonemap import exposure_of, to_srgb
+from prt.savefig import save_png
 
 Image = Float[np.ndarray, "H W 3"]
 #: (cell, split, view, lighting) -> reference images by component, linear
@@ -300,5 +301,5 @@ def _enlarge(figure: Figure, grid, at: int, row: Row, columns: list[Axes], label
 
 def write(figure: PanelFigure, folder: Path) -> None:
     """``figure.png`` at display size, and ``figure.json``: where in it each panel lies."""
-    figure.savefig(folder / "figure.png", dpi=DPI, metadata={"Software": None})
+    save_png(figure, folder / "figure.png", DPI)
     figure.write_boxes(folder / "figure.png", DPI, error_end=ERROR_END)

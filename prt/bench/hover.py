@@ -13,6 +13,9 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from prt.cache import write_atomically
+from prt.savefig import svg_of
+
 #: points of an SVG to the inch
 DPI = 72
 #: how near the pointer must come (points)
@@ -32,10 +35,9 @@ class HoverFigure(Figure):
 
     def save_svg(self, path: Path, metadata: dict[str, Any]) -> None:
         """Write the SVG; the same bytes for the same figure."""
-        self.savefig(path, format="svg", metadata=metadata)
         # only now are the axes where they were drawn
-        drawn, end, rest = path.read_text(encoding="utf-8").rpartition("</svg>")
-        path.write_text(f"{drawn}{self._circles()}{end}{rest}", encoding="utf-8")
+        drawn, end, rest = svg_of(self, metadata).rpartition("</svg>")
+        write_atomically(path, f"{drawn}{self._circles()}{end}{rest}".encode(), "report=")
 
     def _circles(self) -> str:
         """What lies over the points, the last one drawn uppermost."""

@@ -67,11 +67,17 @@ def measured(cfg: DictConfig) -> "list[Need]":
 
     if cfg.choice.task not in MEASURES:
         raise PrtError(f"task={cfg.choice.task} has no measurements; choose one of {', '.join(MEASURES)}")
-    parts = {key: OmegaConf.to_container(cfg[key]) for key in ("task", "scene", "lighting")}
-    path = cache_folder() / "needs" / f"{settings_key({'version': VERSION, **parts})}.json"
+    task = build_task(cfg)
+    # files that settings only name may have changed
+    scene = task.scene.lit_fingerprint() if task.name == "animate" else task.scene.fingerprint()
+    told = {
+        "version": VERSION, "task": OmegaConf.to_container(cfg.task), "scene": scene,
+        "lighting": task.lighting.fingerprint(),
+    }  # fmt: skip
+    path = cache_folder() / "needs" / f"{settings_key(told)}.json"
     if path.is_file():
         return [Need(**need) for need in json.loads(path.read_text())]
-    found = measure(build_task(cfg))
+    found = measure(task)
     write_atomically(path, json.dumps([dataclasses.asdict(need) for need in found], indent=1).encode())
     return found
 

@@ -49,6 +49,8 @@ def score(run: RunFolder, metrics: Sequence[str] | None = None) -> None:
     rows = []
     with run.lock():
         items = build_task(cfg).tests()
+        known = {key(item) for item in items}
+        rows += [row for row in run.metric_rows() if row[:3] not in known]  # they have no reference any more
         with Bar(f"score {cfg.choice.method}", len(items)) as bar:
             for item in items:
                 for component in item.references:
@@ -60,3 +62,19 @@ def score(run: RunFolder, metrics: Sequence[str] | None = None) -> None:
                 rows += [row for row in kept if row[:3] == key(item)]
                 bar.advance()
         run.write_metrics(rows)
+
+
+def complete(run: RunFolder, wanted: Sequence[str]) -> None:
+    """Give a finished run the metrics that another table did not ask for, from its stored images.
+
+    Where those were not kept (run.images.save=false) the metrics stay away, and a line says so.
+    """
+    have = {row[5] for row in run.metric_rows()}
+    missing = [name for name in wanted if name not in have]
+    if not missing or not have:
+        return
+    try:
+        say(f"{', '.join(missing)} of {run.path}, from its images")
+        score(run, missing)
+    except PrtError as error:
+        say(f"    not possible: {error}")

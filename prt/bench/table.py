@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 from hydra.plugins.launcher import Launcher
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from prt.bench import compose as composer
 from prt.bench import launch, launchers
@@ -20,8 +20,9 @@ from prt.bench import run as runner
 from prt.bench.cost import Cost, Watch, clock
 from prt.bench.layout import Layout
 from prt.bench.results import Cell
+from prt.bench.score import complete
 from prt.bench.spec import Spec, find, has_matrix, load_spec
-from prt.cache import write_atomically
+from prt.cache import settings_key, write_atomically
 from prt.errors import PrtError
 from prt.metrics.registry import METRICS
 
@@ -155,6 +156,9 @@ def begin(cells: Sequence[tuple[Cell, DictConfig]], cost: Cost) -> list[tuple[Ce
     """Say what there is to do, and return it."""
     todo = [(cell, cfg) for cell, cfg in cells if not cell.done]
     cost.before = len(cells) - len(todo)
+    for cell, cfg in cells:
+        if cell.done:
+            complete(cell.run, list(cfg.run.metrics))
     say(f"{len(cells)} runs: {cost.before} done already, {len(todo)} to run")
     return todo
 
@@ -263,11 +267,13 @@ class TaskReferences:
 
     def __init__(self, configs: dict[Cell, DictConfig]):
         self.configs = configs
-        self.kept: tuple[str, list[Any]] = ("", [])
+        self.kept: tuple[str, list[Any]] = ("", [])  # only the last: they are large
 
     def __call__(self, cell: Cell, split: str, view: str, lighting: str) -> dict[str, Any]:
-        if self.kept[0] != cell.scene:
-            self.kept = (cell.scene, runner.build_task(self.configs[cell]).tests())
+        cfg = self.configs[cell]
+        settings = {part: OmegaConf.to_container(cfg[part]) for part in ("task", "scene", "lighting")}
+        if self.kept[0] != (told := settings_key(settings)):
+            self.kept = (told, runner.build_task(cfg).tests())
         for item in self.kept[1]:
             if (str(item.split), str(item.view_name), str(item.lighting_name)) == (split, view, lighting):
                 return {component: image.numpy() for component, image in item.references.items()}

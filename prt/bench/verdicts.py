@@ -8,15 +8,13 @@ import pandas as pd
 
 from prt.bench.claims import Claim, Term
 from prt.bench.results import NOISE_FLOOR, direction_of, image_interval, measured_once, over_seeds
-from prt.metrics.intervals import Interval
+from prt.metrics.intervals import Interval, better
 
 VERDICT_COLUMNS = ["claim", "scene", "verdict", "metric", "difference", "lo", "hi", "n", "note"]
 #: the scene of a claim's last row, its verdict over all scenes
 SCOPES = {"every": "every scene", "most": "most scenes", "named": "named scenes"}
 #: a PSNR closer than this to the reference's own noise floor says nothing (dB)
 FLOOR_MARGIN = 10.0
-#: differences as small as rounding decide nothing
-TIE = 1e-9
 
 
 class _Missing(Exception):
@@ -86,13 +84,11 @@ def _judge_scene(claim: Claim, scene: str, evidence: Evidence) -> dict:
         return row | {
             "note": f"{n} image(s) give no interval" if np.isfinite(value) else "a figure is not available"
         }
-    if direction_of(claim.metric) == "lower":
-        lo, hi = -hi, -lo
     if claim.within is not None:
         inside, outside = lo >= -claim.within and hi <= claim.within, lo > claim.within or hi < -claim.within
         verdict = "holds" if inside else "fails" if outside else "undecided"
     else:
-        verdict = "holds" if lo > claim.margin + TIE else "fails" if hi < claim.margin - TIE else "undecided"
+        verdict = better(Interval(value, lo, hi, n), direction_of(claim.metric), claim.margin)
     floor = _noise_floor(claim, scene, evidence)
     if floor is not None and min(left.level, right.level) > floor - FLOOR_MARGIN:
         verdict, row["note"] = (

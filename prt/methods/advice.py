@@ -20,8 +20,6 @@ NOTHING, LITTLE = 0.005, 0.03
 #: wavelets that are offered, and sizes of a hash table
 WAVELETS = (8, 16, 32, 64, 128, 256)
 TABLES = range(11, 20)
-#: terms of a light basis that are offered
-TERMS = (8, 16, 32, 64, 128, 256)
 
 
 @dataclasses.dataclass(frozen=True)

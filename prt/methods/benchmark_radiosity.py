@@ -22,6 +22,7 @@ from prt.metrics.registry import evaluate
 from prt.metrics.timing import device_name, time_repeated
 from prt.metrics.tonemap import exposure_of, to_srgb
 from prt.progress import track
+from prt.savefig import save_png
 from prt.tasks.test_item import TestItem
 from prt.tasks.variable_effects import effects
 from prt.trace.surface_states import SurfaceStates
@@ -97,7 +98,7 @@ def strip(pictures: list[tuple[str, Tensor]], exposure: float, path: Path) -> No
         for axis in (axes[0][column], axes[1][column]):
             axis.set(xticks=[], yticks=[])
     axes[1][0].set_title("difference x 4", fontsize=8)
-    figure.savefig(path, dpi=150, metadata={"Software": None})
+    save_png(figure, path, dpi=150)
 
 
 def fine_tuning(

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -54,8 +55,8 @@ class CastPrt(ShRelight):
         return 0
 
     def save(self, path: Path) -> None:
-        self.save_tensors(path, {})
+        self.save_tensors(path, {"seed": torch.tensor(self._seed)})
 
     def load(self, path: Path, task: Any, device: str) -> None:
-        self.load_tensors(path, task, device)
+        self._seed = int(self.load_tensors(path, task, device)["seed"])
         self._surface = task.surface

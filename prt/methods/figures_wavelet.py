@@ -14,6 +14,7 @@ from prt.methods.training import STRATEGIES, PointSampler
 from prt.methods.wavelet_neural import WaveletNeural
 from prt.metrics.tonemap import exposure_of, to_srgb
 from prt.progress import track
+from prt.savefig import save_png
 
 #: seeds of the two independent records of figure 6
 SEEDS = (88_000, 88_001)
@@ -59,7 +60,7 @@ def training_points(task: Any, folder: Path, view: int, draws: int, smooth: floa
     bar = figure.colorbar(image, ax=figure.axes, shrink=0.8, location="right")
     bar.set_label("times as often as uniform", fontsize=7)
     bar.ax.tick_params(labelsize=7)
-    figure.savefig(folder / "points.png", dpi=150, metadata={"Software": None})
+    save_png(figure, folder / "points.png", dpi=150)
     return rows
 
 
@@ -140,4 +141,4 @@ def draw_histogram(found: dict[str, Tensor], path: Path) -> None:
     axis.set(xscale="log", yscale="log", xlabel="magnitude of a coefficient", ylabel="coefficients")
     axis.set_title(f"The {next(iter(found.values())).shape[1]} largest of every pixel", fontsize=9)
     axis.legend(frameon=False, fontsize=8)
-    figure.savefig(path, dpi=150, metadata={"Software": None})
+    save_png(figure, path, dpi=150)

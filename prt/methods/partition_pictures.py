@@ -13,6 +13,7 @@ from prt.methods.benchmark_transfer import row
 from prt.methods.learnt_sh import LearntSh, held_out_error
 from prt.methods.stability_transfer import fitted
 from prt.metrics.tonemap import exposure_of, to_srgb
+from prt.savefig import save_png
 
 #: points drawn in the plan
 DRAWN = 40_000
@@ -74,7 +75,7 @@ def plan(task: Any, models: dict[str, LearntSh], path: Path) -> None:
         axis.set_title(f"{len(models[name].nets)} networks, {name}")
         axis.set_xlabel("x")
         axis.invert_yaxis()
-    figure.savefig(path, dpi=100)
+    save_png(figure, path, dpi=100)
 
 
 def hues(count: int) -> Float[np.ndarray, "N 3"]:
@@ -105,7 +106,7 @@ def render(task: Any, model: LearntSh, path: Path, views: int) -> None:
             axis.imshow(np.clip(picture, 0, 1))
             axis.set_title(title)
             axis.axis("off")
-    figure.savefig(path, dpi=100)
+    save_png(figure, path, dpi=100)
 
 
 def shown(image: Float[Tensor, "H W 3"]) -> np.ndarray:

@@ -25,6 +25,7 @@ from prt.metrics.intervals import mean_interval
 from prt.metrics.registry import evaluate
 from prt.metrics.tonemap import exposure_of, to_srgb
 from prt.progress import track
+from prt.savefig import save_png
 from prt.scene.view import View
 
 #: seeds of the two records that the truth of a moving light is read from
@@ -251,7 +252,7 @@ def draw_lights(pictures: list[tuple[str, Tensor, Tensor]], name: str, path: Pat
             if column == 0:
                 axes[line][column].set_ylabel(title.replace("_", " "), fontsize=8)
         axes[0][column].set_title(kind, fontsize=8)
-    figure.savefig(path, dpi=150, metadata={"Software": None})
+    save_png(figure, path, dpi=150)
 
 
 # ---- views

@@ -154,7 +154,7 @@ def fit_loop(
         average: running average of the weights, swapped in at the end.
 
     Raises:
-        PrtError: through ``log.step`` when the loss is NaN or infinite.
+        PrtError: through ``log.step`` when the loss is NaN or infinite, and for such weights.
     """
     parts = {**modules, "optimiser": optimiser} | ({"average": average} if average else {})
     rates = [group["lr"] for group in optimiser.param_groups]
@@ -178,10 +178,25 @@ def fit_loop(
         if average:
             average.update()
         if log.checkpoint_due(step):
+            check_weights(optimiser, step)
             state = {name: part.state_dict() for name, part in parts.items()}
             log.save(step, {**state, "generator": generator.get_state()})
     if average:
         average.swap_in()
+
+
+def check_weights(optimiser: torch.optim.Optimizer, step: int) -> None:
+    """Refuse weights that are no checkpoint: a gradient can be infinite where the loss was not.
+
+    Raises:
+        PrtError: where one of them is NaN or infinite.
+    """
+    trained = [p.detach() for group in optimiser.param_groups for p in group["params"]]
+    if not all(bool(p.isfinite().all()) for p in trained):
+        raise PrtError(
+            f"a weight became NaN or infinite by step {step}, after the last checkpoint; lower the "
+            "method's learning rates or check the lighting, then run again"
+        )
 
 
 def fit_network(

@@ -136,6 +136,11 @@ class WaveletNeural:
         self.training, self.precision, self.folded, self.chunk = training, precision, folded, chunk
         self.kernel = kernel
         self.mirrors, self.mirrored = Mirrors(secondary), sigma_setting("mirrored", mirrored)
+        if self.mirrored and training["lightings_per_view"] is not None:
+            raise PrtError(
+                f"method.mirrored={mirrored} trains points that no view has; it does not go with "
+                "method.training.lightings_per_view, set one of them to its default"
+            )
         self.device = "cpu"
 
     # ---- fitting
@@ -238,6 +243,11 @@ class WaveletNeural:
     def rank(self, values: Float[Tensor, "T 3"]) -> Float[Tensor, "T"]:
         """What coefficients are selected by."""
         return haar.importance(values, self.selection, self.sigma)
+
+    @property
+    def traces_lighting(self) -> bool:
+        """Whether rays meet the whole lighting, not only the wavelets of it that are kept."""
+        return self.mirrors.on
 
     def truncated(self, lighting: Float[Tensor, "6 R R 3"]) -> Float[Tensor, "6 R R 3"]:
         """The lighting that :meth:`light` keeps, for the error split."""

@@ -16,6 +16,10 @@ from scipy import stats
 from prt.errors import PrtError
 
 Verdict = Literal["holds", "fails", "undecided"]
+#: which way of a figure is better
+Direction = Literal["higher", "lower"]
+#: differences below this are rounding
+TIE = 1e-9
 #: fewer groups than this use Student's t
 FEW = 20
 RESAMPLES = 2000
@@ -103,37 +107,10 @@ def _bootstrap(sums: np.ndarray, sizes: np.ndarray, confidence: float, seed: int
     return float(lo), float(hi)
 
 
-def paired_difference_interval(
-    a: Sequence[float],
-    b: Sequence[float],
-    confidence: float = 0.95,
-    seed: int = 0,
-    groups: Sequence[Hashable] | None = None,
-) -> Interval:
-    """The mean of a - b, pair by pair (same view, same lighting), with its interval.
+def better(interval: Interval, direction: Direction, margin: float = 0.0) -> Verdict:
+    """Whether the first of two is better by more than ``margin``, from the interval of first less second.
 
-    Raises:
-        PrtError: if ``a`` and ``b`` have unequal lengths.
+    Undecided where the interval contains ``margin``, or where there is none (one group, NaN).
     """
-    if len(a) != len(b):
-        raise PrtError(f"{len(a)} values against {len(b)}; compare pairs of the same view and lighting")
-    difference = np.asarray(a, dtype=np.float64) - np.asarray(b, dtype=np.float64)
-    return mean_interval(difference, confidence, seed, groups)
-
-
-def compare(
-    a: Sequence[float],
-    b: Sequence[float],
-    direction: Literal["higher", "lower"],
-    confidence: float = 0.95,
-    seed: int = 0,
-    groups: Sequence[Hashable] | None = None,
-) -> Verdict:
-    """The verdict on the claim that ``a`` is better than ``b``, where ``direction`` says which way is better.
-
-    Undecided where the interval of the paired difference contains 0, or where there is none (one group, NaN).
-    """
-    _, lo, hi, _ = paired_difference_interval(a, b, confidence, seed, groups)
-    if direction == "lower":
-        lo, hi = -hi, -lo
-    return "holds" if lo > 0 else "fails" if hi < 0 else "undecided"
+    lo, hi = (interval.lo, interval.hi) if direction == "higher" else (-interval.hi, -interval.lo)
+    return "holds" if lo > margin + TIE else "fails" if hi < margin - TIE else "undecided"

@@ -14,16 +14,6 @@ import torch
 
 from prt.errors import PrtError
 
-#: what each timed scope covers; results name a time as ``time/<scope>``
-SCOPES = {
-    "gbuffer": "primary rays of one frame, to positions, normals and material parameters",
-    "light": "once per lighting: project, select, encode",
-    "shade": "once per frame: G-buffer and light code to radiance",
-    "denoise": "denoising one frame",
-    "bake": "precomputing the data a method trains on: recorded transport or images",
-    "fit": "training, without the baking of its data",
-}
-
 
 @dataclass(frozen=True)
 class Timing:

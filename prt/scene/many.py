@@ -11,8 +11,6 @@ from prt.scene.shapes import MeshData, sphere_mesh, superquadric_mesh, to_mesh, 
 
 #: cells of the table: centres along x and z, half a cell's side, and how far an object goes from its centre
 COLUMNS, ROWS, HALF_CELL, REACH = (-1.8, -0.6, 0.6, 1.8), (-0.6, 0.6), 0.6, 0.2
-#: no object is wider than this about its own axis
-WIDEST = 0.36
 WIDE, DEEP, HIGH = 2.6, 1.5, 2.2
 #: start and end of the colour of each material
 COLORS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {

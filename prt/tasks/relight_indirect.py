@@ -289,7 +289,9 @@ class RelightIndirect:
         """
         reference = item.references["indirect"]
         parts = {"psnr/noise": item.noise_floor["indirect"]}
-        if hasattr(method, "truncated") and item.gbuffer.view is not None:
+        # rays that meet the whole lighting have no error of its truncation to tell apart
+        traced = getattr(method, "traces_lighting", False)
+        if hasattr(method, "truncated") and not traced and item.gbuffer.view is not None:
             lost = (item.lighting - method.truncated(item.lighting)).reshape(1, -1, 3)
             exposure = exposure_of(reference.numpy())
             whole, fitted = to_srgb(reference, exposure), to_srgb(image, exposure)

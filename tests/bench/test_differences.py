@@ -8,6 +8,7 @@ import pytest
 from prt.bench import differences
 from prt.bench.layout import Layout
 from prt.errors import PrtError
+from prt.metrics.intervals import better
 
 PLAN = Layout(
     ["box"], [("ours", ""), ("ours", "size=2"), ("ours", "loss=plain"), ("theirs", "")], splits=["far"]
@@ -39,9 +40,9 @@ def test_pairs_are_told_apart_where_means_are_not():
     rows = dict(differences.measured(figures(OFFSETS), PLAN, SETTINGS)["box"])
     assert list(rows) == ["size=2", "loss=plain", "theirs"]
     assert rows["size=2"].mean == pytest.approx(1.15)
-    found = {name: differences.verdict(interval, "higher") for name, interval in rows.items()}
-    assert found == {"size=2": "better", "loss=plain": "worse", "theirs": "undecided"}
-    assert differences.verdict(rows["size=2"], "lower") == "worse"
+    found = {name: better(interval, "higher") for name, interval in rows.items()}
+    assert found == {"size=2": "holds", "loss=plain": "fails", "theirs": "undecided"}
+    assert better(rows["size=2"], "lower") == "fails"
 
 
 def test_other_images_are_not_compared():

@@ -44,6 +44,16 @@ def cells(reports, *changes):
     return read_matrix(reports / "m.yaml", given, reports).cells
 
 
+def test_the_worst_of_a_place_is_the_furthest_past_its_threshold(reports):
+    given = {"rows": {"ours": "Ours"}, "columns": {"light": "Light"}, "cells": [
+        CELL | {"good": 0.1, "bad": 0.3, "says": "a third past"},
+        CELL | {"against": {"variant": "lights=same"}, "good": 1.0, "bad": 2.0, "says": "twice past"},
+        CELL | {"good": 0.3, "bad": 0.6, "says": "on the way"},
+    ]}  # fmt: skip
+    matrix = read_matrix(reports / "m.yaml", given, reports)
+    assert [cell.note for cell in matrix.at("ours", "light")] == ["twice past", "a third past", "on the way"]
+
+
 @pytest.mark.parametrize(
     ("change", "value", "grade"),
     [

@@ -65,6 +65,19 @@ def test_a_variable_with_no_effect_needs_no_plane(moving):
     assert not torch.equal(model.net.at(states[0]).bias, model.net.at(torch.tensor([0.9, 0.0])).bias)
 
 
+def test_figures_are_kept_until_a_file_of_the_scene_changes(moving, tmp_path, monkeypatch):
+    calls = []
+    monkeypatch.setattr(
+        needs, "measure", lambda task: calls.append(task) or [Need("variable/lamp", 0.5, "x")]
+    )
+    first = command.measured(compose(moving))
+    assert command.measured(compose(moving)) == first and len(calls) == 1
+    path = tmp_path / "moves.yaml"
+    path.write_text(path.read_text().replace("end: [2, 2, 2]", "end: [3, 3, 3]"))
+    command.measured(compose(moving))
+    assert len(calls) == 2
+
+
 def test_an_unknown_variable_is_an_error(moving):
     cfg = compose([*moving, "method.ignored=[lamb]"])
     with pytest.raises(PrtError, match="has no variable 'lamb'; it has lamp, hidden"):

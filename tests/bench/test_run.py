@@ -199,6 +199,28 @@ def test_score_recomputes_the_same_numbers_from_the_images(choice):
     }
 
 
+def test_a_finished_run_gets_the_metrics_that_it_lacks(choice, capsys):
+    folder = run(compose(choice))
+    before = folder.metrics()
+    again = run(compose([*choice, "run.metrics=[psnr,rmse]"]))
+    assert again.path == folder.path and "rmse of" in capsys.readouterr().err
+    found = folder.metrics()
+    assert set(found.metric) == {*before.metric, "rmse"} and len(found) > len(before)
+    assert (found[found.metric == "rmse"].value > 0).all()
+    without = run(compose([*choice, "run.images.save=false", "seed=7"]))
+    run(compose([*choice, "run.images.save=false", "seed=7", "run.metrics=[rmse]"]))
+    assert "not possible" in capsys.readouterr().err and "rmse" not in set(without.metrics().metric)
+
+
+def test_rows_of_images_that_are_no_test_any_more_are_kept(choice):
+    folder = run(compose(choice))
+    rows = folder.metric_rows()
+    folder.write_metrics([*rows, ("far", "gone", "dusk", *rows[0][3:])])
+    score.main([folder.path])
+    assert ("far", "gone", "dusk") in {row[:3] for row in folder.metric_rows()}
+    assert len(folder.metric_rows()) == len(rows) + 1
+
+
 def test_score_without_images_says_what_to_do(choice):
     folder = run(compose([*choice, "run.images.save=false"]))
     with pytest.raises(PrtError, match="run.images.save=true"):

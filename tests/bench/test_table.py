@@ -174,7 +174,10 @@ def test_runs_what_is_missing_and_goes_on_after_a_failure(tmp_path, capsys):
         if cfg.number == 1:
             raise PrtError("no data for this scene")
 
-    cells = [(cell, SimpleNamespace(number=i)) for i, cell in enumerate([done, *others])]
+    cells = [
+        (cell, SimpleNamespace(number=i, run=SimpleNamespace(metrics=["psnr"])))
+        for i, cell in enumerate([done, *others])
+    ]
     failed = table.run_missing(cells, carry_out)
     assert called == [1, 2] and failed == {others[0]: "no data for this scene"}
     said = capsys.readouterr().err

@@ -71,6 +71,19 @@ def test_it_is_a_method_that_survives_the_disk(name, task, tmp_path):
         METHODS[name]().load(tmp_path / "x.safetensors", ball_task(3), "cpu")
 
 
+def test_a_cast_keeps_its_seed(task, tmp_path):
+    gbuffer, found = task.surface.capture(VIEW), []
+    for seed in (0, 1):
+        method = CastPrt(16)
+        method.fit(task, Log(), seed, "cpu")
+        method.save(tmp_path / "cast.safetensors")
+        again = CastPrt(16)
+        again.load(tmp_path / "cast.safetensors", task, "cpu")
+        torch.testing.assert_close(again.transfer(gbuffer), method.transfer(gbuffer))
+        found.append(again.transfer(gbuffer))
+    assert not torch.equal(*found)
+
+
 @pytest.mark.parametrize(("name", "least"), [("texture", 0.004), ("vertex", 0.02), ("cast", 0.003)])
 def test_an_open_ball_has_the_open_transfer(name, least, task):
     method = METHODS[name]()

@@ -181,6 +181,27 @@ def test_nan_stops_the_fit_before_it_reaches_the_weights(tmp_path):
     assert step == 5 and all(value.isfinite().all() for value in state["net"].values())
 
 
+def test_a_gradient_that_is_infinite_leaves_no_checkpoint(tmp_path):
+    """The square root of zero: a finite loss, whose slope is not."""
+    fit, clean = Fit(), Fit.step
+    steps = iter(range(1, 99))
+
+    def step():
+        slope = clean(fit)
+        return slope if next(steps) < 6 else slope + (0 * fit.net[0].weight).abs().sum().sqrt()
+
+    fit.step = step
+    folder = RunFolder(tmp_path)
+    with (
+        RunLog(folder, 0.0) as log,
+        pytest.raises(PrtError, match="a weight became NaN or infinite by step 6"),
+    ):
+        fit.run(log)
+    with RunLog(folder, 0.0) as log:
+        kept, state = log.resume()
+    assert kept == 5 and all(value.isfinite().all() for value in state["net"].values())
+
+
 def test_the_rate_warms_up_and_ends_low():
     factor = warm_up_then_cosine(warm_up=0.1, last=0.02)
     assert 0 < factor(0.0) < 0.02 and factor(0.1) == pytest.approx(1.0) and factor(1.0) == pytest.approx(0.02)

@@ -140,6 +140,8 @@ def test_wrong_settings_are_refused(settings, named):
 def test_wrong_training_on_mirrors_is_refused():
     with pytest.raises(PrtError, match=r"method\.mirrored=-0\.1"):
         make(mirrored=-0.1)
+    with pytest.raises(PrtError, match="does not go with method.training.lightings_per_view"):
+        make(mirrored=0.1, training={"lightings_per_view": 2})
 
 
 def test_rays_without_a_scene_are_refused():

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from prt.errors import PrtError
-from prt.metrics.intervals import compare, mean_interval, paired_difference_interval
+from prt.metrics.intervals import better, mean_interval
 
 
 def test_few_values_give_students_interval():
@@ -63,8 +63,11 @@ def test_wrong_arguments_are_errors():
         mean_interval([1.0, 2.0], confidence=95)
     with pytest.raises(PrtError, match="1 labels for 2 values"):
         mean_interval([1.0, 2.0], groups=["a"])
-    with pytest.raises(PrtError, match="2 values against 1"):
-        paired_difference_interval([1.0, 2.0], [1.0])
+
+
+def compare(a, b, direction, groups=None):
+    """The verdict on a being better than b, pair by pair."""
+    return better(mean_interval(np.asarray(a) - np.asarray(b), groups=groups), direction)
 
 
 def test_pairing_finds_a_small_gain_under_a_large_common_spread():
@@ -87,6 +90,13 @@ def test_what_is_undecided():
     assert compare([9.0], [1.0], "higher") == "undecided"
     assert compare([9.0, 9.1, float("nan")], [1.0, 1.1, 1.2], "higher") == "undecided"
     assert compare([], [], "higher") == "undecided"
+
+
+def test_a_margin_is_in_the_metrics_own_unit():
+    interval = mean_interval([1.0, 1.1, 0.9, 1.0])
+    assert better(interval, "higher", 0.5) == "holds" and better(interval, "higher", 1.5) == "fails"
+    assert better(mean_interval([-1.0, -1.1, -0.9, -1.0]), "lower", 0.5) == "holds"
+    assert better(interval, "higher", 1.0) == "undecided"
 
 
 def test_lightings_of_two_views_do_not_decide_a_claim_about_views():

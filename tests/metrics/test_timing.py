@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from prt.errors import PrtError
-from prt.metrics.timing import SCOPES, time_repeated
+from prt.metrics.timing import time_repeated
 
 
 def test_counts_warms_up_and_synchronises_around_each_call():
@@ -47,7 +47,3 @@ def test_result_is_plain_data():
 def test_wrong_counts_are_errors(wrong):
     with pytest.raises(PrtError, match="at least 1"):
         time_repeated(lambda: None, **wrong)
-
-
-def test_scopes_are_those_of_the_protocol():
-    assert set(SCOPES) == {"gbuffer", "light", "shade", "denoise", "fit", "bake"}
