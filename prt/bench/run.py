@@ -89,7 +89,9 @@ def check_task(cfg: DictConfig, task: Any, method: Any) -> None:
 
 
 def carry_out(folder: RunFolder, cfg: DictConfig, task: Any, method: Any) -> None:
-    """Fit, reload, evaluate, time, mark as done."""
+    """Fit, reload, evaluate, time, mark as done; mistakes in what is tested are found before the fit."""
+    if hasattr(task, "check_tests"):
+        task.check_tests()
     model = stored(folder, cfg, task, method)
     evaluate_run(folder, cfg, task, model)
     if "shade" not in folder.timing():
@@ -160,12 +162,13 @@ def fit(folder: RunFolder, cfg: DictConfig, task: Any, method: Any) -> None:
     """Fit from the last kept state and store the model; the time of the data it asks for is kept apart."""
     torch.manual_seed(cfg.seed)
     baked = Baking(task)
-    with RunLog(folder, cfg.run.checkpoint_seconds, excluded=lambda: baked.seconds) as log:
-        method.fit(baked, log, int(cfg.seed), str(cfg.device))
-        seconds = log.seconds
-    earlier = folder.timing().get("bake", 0.0)
-    bake = earlier + baked.seconds - baked.references
-    folder.add_timing(fit=seconds, bake=bake, device=str(cfg.device), threads=torch.get_num_threads())
+    try:
+        with RunLog(folder, cfg.run.checkpoint_seconds, excluded=lambda: baked.seconds) as log:
+            method.fit(baked, log, int(cfg.seed), str(cfg.device))
+            seconds = log.seconds
+    finally:  # an interrupted fit finds its data in the cache when it goes on
+        folder.add_timing(bake=folder.timing().get("bake", 0.0) + baked.seconds - baked.references)
+    folder.add_timing(fit=seconds, device=str(cfg.device), threads=torch.get_num_threads())
     temporary = folder.checkpoint.with_suffix(".part")
     method.save(temporary)
     write_atomically(digest_file(folder), (digest(temporary) + "\n").encode())

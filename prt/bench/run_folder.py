@@ -120,7 +120,9 @@ class RunFolder:
             write_atomically(self.path / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True).encode())
         session = {name: provenance.get(name) for name in ("time", "commit", "machine", "command")}
         sessions = [*self.provenance().get("sessions", []), session]
-        write_json(self.path / "provenance.json", {**provenance, "sessions": sessions})
+        earlier = self.provenance()
+        kept = {"fitted_by": earlier["fitted_by"]} if "fitted_by" in earlier else {}
+        write_json(self.path / "provenance.json", {**provenance, **kept, "sessions": sessions})
         for name in ("FAILED", "traceback.txt"):
             (self.path / name).unlink(missing_ok=True)
 

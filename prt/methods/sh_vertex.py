@@ -50,6 +50,7 @@ class ShVertex:
         self.component = Component.FULL if full else Component.INDIRECT
         self._direct: Float[Tensor, "V K"] | None = None
         self._interreflected: Float[Tensor, "V K 3"] | None = None
+        self._shown: Float[Tensor, "V K 3"] = torch.empty(0)
         self._face: Int[Tensor, "F 3"] | None = None
 
     # ---- fitting
@@ -77,6 +78,9 @@ class ShVertex:
     def _take(self, direct: Tensor, interreflected: Tensor, face: Tensor, device: str) -> None:
         self._direct, self._interreflected = direct.to(device), interreflected.to(device)
         self._face = face.to(device)
+        # what a frame reads: with ``full`` one transfer of both, summed once
+        full = self.component is Component.FULL
+        self._shown = self._interreflected + self._direct[..., None] if full else self._interreflected
 
     # ---- rendering
 
@@ -110,13 +114,11 @@ class ShVertex:
         Raises:
             PrtError: for a G-buffer without triangles, or before ``fit`` or ``load``.
         """
-        transfer = self._fitted()[1]
+        self._fitted()
         # the channels as columns of a block matrix: one product that reads the transfer once, as it lies
-        if self.component is Component.FULL:
-            transfer = transfer + self._fitted()[0][..., None]
         K = len(code)
         block = (code[:, :, None] * torch.eye(3, device=code.device)).reshape(3 * K, 3)
-        return self._interpolated(gbuffer, transfer.flatten(1) @ block)
+        return self._interpolated(gbuffer, self._shown.flatten(1) @ block)
 
     def direct(self, gbuffer: AtlasGBuffer, code: Float[Tensor, "K 3"]) -> Float[Tensor, "N 3"]:
         """Direct radiance in the same way: its blurred shadows are the light leaking of figure 12.
@@ -141,8 +143,9 @@ class ShVertex:
     # ---- storage
 
     def nbytes(self) -> int:
-        """The interreflected transfer, float32; the direct one is kept for :meth:`direct` alone."""
-        return 4 * self._fitted()[1].numel()
+        """The transfer that a frame reads, float32; the direct one is kept for :meth:`direct` alone."""
+        self._fitted()
+        return 4 * self._shown.numel()
 
     def save(self, path: Path) -> None:
         direct, interreflected, _ = self._fitted()

@@ -75,7 +75,7 @@ class PointSampler:
                 "method.strategies gives every strategy a share of 0; give at least one a positive share"
             )
         total = sum(positive.values())
-        self.counts = {name: round(count * share / total) for name, share in positive.items()}
+        self.counts = apportion(count, {name: share / total for name, share in positive.items()})
         self.cumulative = {
             name: None if name == "uniform" else importance[name].double().clamp(min=0).cumsum(0)
             for name in positive
@@ -98,6 +98,15 @@ class PointSampler:
                 place = torch.searchsorted(cumulative, low + uniform * (high - low))
                 parts.append(place.clamp(first, last - 1))
         return torch.cat(parts)
+
+
+def apportion(count: int, shares: dict[str, float]) -> dict[str, int]:
+    """Whole numbers in proportion to shares of 1, whose sum is ``count``: largest remainders first."""
+    whole = {name: int(count * share) for name, share in shares.items()}
+    by_remainder = sorted(shares, key=lambda name: whole[name] - count * shares[name])
+    for name in by_remainder[: count - sum(whole.values())]:
+        whole[name] += 1
+    return whole
 
 
 def radiance(

@@ -167,15 +167,23 @@ class Animate:
             found.append(("given", f"given{i:02d}", v))
         return found
 
+    def check_tests(self) -> None:
+        """Find mistakes in the settings of the test states before anything is fitted.
+
+        Raises:
+            PrtError: for states of another number of values than the scene has variables, or none at all.
+        """
+        if not self.test_states():
+            raise PrtError("task=animate has no test states; raise task.states")
+
     def tests(self) -> list[TestItem]:
         """Test states with references; cached one by one."""
         return self._tests
 
     @functools.cached_property
     def _tests(self) -> list[TestItem]:
+        self.check_tests()
         states = self.test_states()
-        if not states:
-            raise PrtError("task=animate has no test states; raise task.states")
         counts = Counter(split for split, _, _ in states)
         alike = max(counts[split] for split in RANDOM)
         views = self.scene.views("far", max(alike + counts["given"], 1), self.size)

@@ -69,8 +69,9 @@ class Transport:
                 f"{self.resolution}: they must be (L, {6 * self.resolution**2}, 3)"
             )
         out = torch.zeros((3, self.pixels, lightings.shape[0]))
-        # 32-bit indices: torch would otherwise convert them in every product
-        offsets, texel = self.offsets.to(torch.int32), self.texel.to(torch.int32)
+        # 32-bit indices where they suffice: torch would otherwise convert them in every product
+        index = torch.int32 if len(self.texel) < 1 << 31 else torch.int64
+        offsets, texel = self.offsets.to(index), self.texel.to(index)
         size = (self.pixels, lightings.shape[1])
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="Sparse")

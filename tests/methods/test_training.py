@@ -11,6 +11,7 @@ from prt.errors import PrtError
 from prt.methods.training import (
     Average,
     PointSampler,
+    apportion,
     fit_loop,
     image_loss,
     mu_law,
@@ -78,6 +79,14 @@ def test_shares_split_the_points_and_uniform_reaches_all():
     others = np.delete(counts, [3, 7])
     assert counts[3] == pytest.approx(12_000, rel=0.03) == counts[7]
     assert others == pytest.approx(np.full(8, 2_000), rel=0.1)
+
+
+def test_no_point_is_lost_where_shares_do_not_divide():
+    thirds = {"a": 1 / 3, "b": 1 / 3, "c": 1 / 3}
+    assert apportion(2, thirds) == {"a": 1, "b": 1, "c": 0} and sum(apportion(11, thirds).values()) == 11
+    assert apportion(2, dict.fromkeys("abcd", 0.25)) == {"a": 1, "b": 1, "c": 0, "d": 0}
+    assert apportion(1024, dict.fromkeys("abcd", 0.25)) == dict.fromkeys("abcd", 256)
+    assert apportion(10, {"a": 0.9, "b": 0.1}) == {"a": 9, "b": 1}
 
 
 def test_an_importance_of_zero_everywhere_falls_back_to_uniform():
