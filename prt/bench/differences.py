@@ -15,7 +15,7 @@ import pandas as pd
 from prt.bench.chart import COLOURS, STYLE, Axis
 from prt.bench.hover import HoverFigure
 from prt.bench.layout import Layout, split_name
-from prt.bench.results import direction_of, image_interval, over_seeds
+from prt.bench.results import by_seed, direction_of, image_interval, less
 from prt.errors import PrtError
 from prt.metrics.intervals import Interval, Verdict, better
 
@@ -48,7 +48,7 @@ def measured(
             & (images["metric"] == y.metric) & (images["component"] == y.component)
         ]  # fmt: skip
         rows = {
-            key: over_seeds(mine[(mine["method"] == key[0]) & (mine["variant"] == key[1])])
+            key: by_seed(mine[(mine["method"] == key[0]) & (mine["variant"] == key[1])])
             for key in plan.methods
         }
         (first, base), *others = rows.items()
@@ -57,7 +57,7 @@ def measured(
                 plan.variant_label(method, variant) or plan.label(method)
                 if method == first[0]
                 else plan.method_label(method, variant),
-                image_interval(values - base),
+                image_interval(less(values, base)),
             )
             for (method, variant), values in others
             if len(values) and values.index.equals(base.index)

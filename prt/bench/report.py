@@ -333,7 +333,12 @@ def definitions(plan: Layout, results: pd.DataFrame) -> str:
     if plan.views:
         lines.append(f"- Only test items with these views count: {', '.join(plan.views)}.")
     lines.append(
-        "- Means are over test images (views times lightings, unseen in fitting), each first averaged over "
-        "seeds; intervals count images of one view, or under one lighting, as one draw, whichever is wider."
+        "- Means are over test images (views times lightings, unseen in fitting); intervals count images of "
+        "one view, or under one lighting, as one draw, whichever is wider. "
+        + (
+            "Where there are several seeds, what the means of their runs differ by is a part of the interval."
+            if len(set(results["seeds"].dropna()) - {1})
+            else "Each run has one seed: what another fit would come to is no part of them."
+        )
     )
     return textwrap.dedent("\n".join(lines))

@@ -156,14 +156,14 @@ def in_views(images: pd.DataFrame, views: Sequence[str]) -> pd.DataFrame:
 def summarise(cells: list[Cell], images: pd.DataFrame, published: pd.DataFrame | None = None) -> pd.DataFrame:
     """The tidy table: means with 95 % intervals, costs, and the paper's numbers in a column of their own.
 
-    An image's figure is first averaged over seeds: ``n`` counts test images and the interval is over them.
+    ``n`` counts test images. The interval is over them, and over seeds where there are several.
     One figure that is not available (NaN) makes the mean not available: nothing is dropped in silence.
     """
     rows = []
     for key, group in images.groupby(KEYS, sort=False) if len(images) else ():
-        values = over_seeds(group)
+        values = by_seed(group)
         row = dict(zip(KEYS, key, strict=True), n=len(values), seeds=group["seed"].nunique())
-        if values.notna().all():
+        if values.notna().all(axis=None):
             row["value"], row["lo"], row["hi"], _ = image_interval(values)
         rows.append(row)
         rows += _spread(group, key)
@@ -182,13 +182,41 @@ def _spread(figures: pd.DataFrame, key: Any) -> list[dict[str, Any]]:
     return [place | {"metric": metric, "value": float(means.std()), "n": len(means), "seeds": len(means)}]
 
 
-def over_seeds(figures: pd.DataFrame) -> pd.Series:
+def by_seed(figures: pd.DataFrame) -> pd.DataFrame:
+    """A row per (view, lighting), a column per seed; NaN where a figure is, or is missing."""
+    if not len(figures):
+        return pd.DataFrame(index=pd.MultiIndex.from_tuples([], names=["view", "lighting"]))
+    groups = figures.groupby(["view", "lighting", "seed"], sort=True)["value"]
+    return cast(pd.DataFrame, groups.agg(lambda v: v.mean(skipna=False)).unstack("seed"))
+
+
+def over_seeds(values: pd.DataFrame) -> pd.Series:
     """One figure per (view, lighting): the mean over seeds, NaN where one of them is."""
-    groups = figures.groupby(["view", "lighting"], sort=True)["value"]
-    return cast(pd.Series, groups.agg(lambda v: v.mean(skipna=False)))
+    return cast(pd.Series, values.mean(axis=1, skipna=False))
 
 
-def image_interval(values: pd.Series) -> Interval:
+def less(left: pd.DataFrame, right: pd.DataFrame) -> pd.DataFrame:
+    """Left minus right, image by image, seed by seed where both have the same seeds."""
+    if left.columns.equals(right.columns):
+        return left - right
+    return (over_seeds(left) - over_seeds(right)).to_frame()
+
+
+def image_interval(values: pd.DataFrame) -> Interval:
+    """The mean of figures by (view, lighting) and seed, with its 95 % interval.
+
+    The squares of two margins are added: that of the images, averaged over seeds, and where there are
+    several seeds that of the seeds' means (Student's t): fits differ, whatever images they are judged on.
+    """
+    mean, lo, hi, n = over_images(over_seeds(values))
+    seeds = mean_interval(values.mean(axis=0, skipna=False).to_numpy(float))
+    if seeds.n < 2 or not np.isfinite(seeds.hi - seeds.lo) or not np.isfinite(hi - lo):
+        return Interval(mean, lo, hi, n)
+    below, above = np.hypot(mean - lo, seeds.mean - seeds.lo), np.hypot(hi - mean, seeds.hi - seeds.mean)
+    return Interval(mean, float(mean - below), float(mean + above), n)
+
+
+def over_images(values: pd.Series) -> Interval:
     """The mean of figures indexed by (view, lighting), with its 95 % interval.
 
     Images of one view depend on each other, and so do images under one lighting: the wider of the two
@@ -201,7 +229,7 @@ def image_interval(values: pd.Series) -> Interval:
 
 
 def image_error(values: pd.Series) -> float:
-    """Standard error of the mean of figures by (view, lighting), grouped as in :func:`image_interval`."""
+    """Standard error of the mean of figures by (view, lighting), grouped as in :func:`over_images`."""
     found = [standard_error(values.to_numpy(float), groups) for groups in _groupings(values)]
     return max((error for error in found if np.isfinite(error)), default=np.nan)
 

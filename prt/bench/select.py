@@ -20,7 +20,7 @@ from prt.bench import run as runner
 from prt.bench.chart import Axis
 from prt.bench.curves import axis_key
 from prt.bench.layout import splits_of
-from prt.bench.results import Cell, direction_of, image_error, over_seeds, read_images, summarise
+from prt.bench.results import Cell, by_seed, direction_of, image_error, over_seeds, read_images, summarise
 from prt.bench.spec import Spec
 from prt.bench.target import HOW, Target
 from prt.errors import PrtError
@@ -154,7 +154,7 @@ class Walk:
                 f"{cell.run.path} has no {axis_key(self.quality)} on split={self.split}; "
                 f"splits with it: {known}"
             )
-        values = over_seeds(mine)
+        values = over_seeds(by_seed(mine))
         return float(values.mean(skipna=False)), image_error(values)
 
 

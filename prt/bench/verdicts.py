@@ -1,5 +1,6 @@
 """Claims judged on finished runs: holds, fails or undecided, scene by scene, with the figures."""
 
+import functools
 import math
 from dataclasses import dataclass, field
 
@@ -7,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from prt.bench.claims import Claim, Term
-from prt.bench.results import NOISE_FLOOR, direction_of, image_interval, measured_once, over_seeds
+from prt.bench.results import NOISE_FLOOR, by_seed, direction_of, image_interval, less, measured_once
 from prt.metrics.intervals import Interval, better
 
 VERDICT_COLUMNS = ["claim", "scene", "verdict", "metric", "difference", "lo", "hi", "n", "note"]
@@ -100,7 +101,7 @@ def _judge_scene(claim: Claim, scene: str, evidence: Evidence) -> dict:
 
 @dataclass
 class _Side:
-    values: pd.Series | None  #: by (view, lighting); None for a number or what is measured once
+    values: pd.DataFrame | None  #: by (view, lighting) and seed; None for a number or what is measured once
     mean: Interval
     splits: frozenset[str]
     level: float  #: the lowest mean among its terms, to hold against the noise floor
@@ -114,7 +115,7 @@ def _side(terms: tuple[Term, ...], claim: Claim, scene: str, evidence: Evidence)
     series = [part.values for part in parts]
     if any(s is None for s in series) or any(not s.index.equals(series[0].index) for s in series):
         raise _Missing("the terms of a difference were not measured on the same images")
-    values = series[0] - sum(series[1:])
+    values = functools.reduce(less, series)
     level = min(part.level for part in parts)
     return _Side(values, image_interval(values), frozenset().union(*(part.splits for part in parts)), level)
 
@@ -145,7 +146,7 @@ def _figures(term: Term, claim: Claim, scene: str, evidence: Evidence) -> _Side:
     rows = found(evidence.images, split)
     if not len(rows):
         raise _Missing(_why_missing(term, claim, scene, split, evidence))
-    values = over_seeds(rows)
+    values = by_seed(rows)
     interval = image_interval(values)
     return _Side(values, interval, frozenset([split]), interval.mean)
 
@@ -167,7 +168,7 @@ def _difference(left: _Side, right: _Side) -> Interval:
             raise _Missing(
                 "the two sides were not measured on the same images; run both with the same settings"
             )
-        return image_interval(left.values - right.values)
+        return image_interval(less(left.values, right.values))
     a, b = left.mean, right.mean
     value = a.mean - b.mean
     below, above = math.hypot(a.mean - a.lo, b.hi - b.mean), math.hypot(a.hi - a.mean, b.mean - b.lo)

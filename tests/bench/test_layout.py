@@ -2,6 +2,7 @@
 
 import re
 
+import numpy as np
 import pandas as pd
 import pytest
 from synthetic_runs import make_run
@@ -10,7 +11,9 @@ from prt.bench import layout
 from prt.bench.layout import Layout, quality_sheet, to_latex, to_markdown
 from prt.bench.results import (
     COLUMNS,
+    image_interval,
     in_views,
+    less,
     merge_published,
     read_images,
     read_published,
@@ -222,6 +225,23 @@ def test_only_the_views_of_the_list_count(tmp_path):
 )
 def test_labels_say_which_way_is_better(metric, label):
     assert layout.metric_label(metric) == label
+
+
+def test_fits_that_differ_widen_the_interval():
+    rng = np.random.default_rng(0)
+    images = pd.MultiIndex.from_product([list("abcdef"), list("xy")], names=["view", "lighting"])
+    noise = 0.01 * rng.normal(size=(12, 3))
+    alike = pd.DataFrame(30 + noise, index=images, columns=[0, 1, 2])
+    apart = alike + np.array([-1.0, 0.0, 1.0])
+    one = image_interval(alike[[0]])
+    assert image_interval(apart).mean == pytest.approx(30, abs=0.02)
+    # Student's t of three means whose standard deviation is 1
+    assert image_interval(apart).hi - image_interval(apart).mean == pytest.approx(4.303 / 3**0.5, rel=0.02)
+    assert image_interval(alike).hi - image_interval(alike).lo < 3 * (one.hi - one.lo)
+    # paired by seed: what all seeds share is no difference
+    assert image_interval(less(apart + 0.5, apart)).lo == pytest.approx(0.5)
+    lone = less(apart + 0.5, apart[[1]])
+    assert lone.shape == (12, 1) and lone.to_numpy().mean() == pytest.approx(0.5, abs=0.02)
 
 
 def test_what_a_row_varies_can_have_words_of_its_own():
