@@ -60,6 +60,7 @@ class Row:
     psnr: dict[str, float]
     crops: list[list[float]]  #: x, y, width, height as fractions of the picture
     label: str = ""  #: shown in place of the scene's
+    varied: str = "light"  #: what ``lighting`` names; where scenes move it is a state
 
 
 def gather(
@@ -114,7 +115,7 @@ def _row(
     references: References,
 ) -> Row:  # fmt: skip
     scene, split, component = entry["scene"], entry["split"], entry["component"]
-    pictures, psnr, reference, truth, exposure = {}, {}, None, np.empty(0), 1.0
+    pictures, psnr, reference, truth, exposure, varied = {}, {}, None, np.empty(0), 1.0, "light"
     here = images[
         (images["scene"] == scene) & (images["split"] == split) & (images["view"] == view)
         & (images["lighting"] == lighting) & (images["component"] == component) & (images["metric"] == "psnr")
@@ -125,6 +126,7 @@ def _row(
         )
         if cell is None:
             continue
+        varied = "state" if cell.run.path.parts[-4:-3] == ("animate",) else "light"
         denoised = entry.get("denoised", True) and DENOISED in layout.tokens(method)
         path = cell.run.image_file(split, view, lighting, component, denoised)
         if denoised and not path.exists():
@@ -155,7 +157,7 @@ def _row(
         raise PrtError("no finished run has images of it")
     return Row(
         scene, split, view, lighting, component, exposure, reference, pictures, psnr,
-        entry.get("crops") or [], str(entry.get("label") or layout.label(scene)),
+        entry.get("crops") or [], str(entry.get("label") or layout.label(scene)), varied,
     )  # fmt: skip
 
 
@@ -267,7 +269,11 @@ def _facts(axis: Axes, row: Row, of_all: bool) -> None:
 
     ``of_all``: the component stands above the column, being that of all rows.
     """
-    facts = [f"view: {row.view} ({row.split})", f"light: {row.lighting}", f"exposure: × {row.exposure:.3g}"]
+    facts = [
+        f"view: {row.view} ({row.split})",
+        f"{row.varied}: {row.lighting}",
+        f"exposure: × {row.exposure:.3g}",
+    ]
     facts += [] if of_all else [f"component: {row.component}"]
     for i, line in enumerate(facts):
         text = line if len(line) <= 30 else line[:29] + "…"
