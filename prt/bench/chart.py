@@ -6,6 +6,7 @@ Which way is better comes from the metric's own definition, never from here.
 
 import math
 import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from matplotlib.lines import Line2D
 from prt.bench.hover import HoverFigure, says
 from prt.bench.layout import Layout, metric_name, split_name
 from prt.bench.results import DENOISED, direction_of, is_cost, join_variant, measured_once, variant_tokens
+from prt.bench.where import meets, read_where
 from prt.errors import PrtError
 from prt.metrics.diagnostics import diagnostic_of
 from prt.metrics.registry import METRICS
@@ -163,14 +165,19 @@ def draw(results: pd.DataFrame, layout: Layout, settings: dict, note: str = "") 
 
     Args:
         settings: ``x`` (``time/frame``), ``y`` (``psnr/indirect``), ``split`` (``far``),
-            ``target`` (a value of y, drawn as a line).
+            ``target`` (a value of y, drawn as a line), ``where`` (which variants, :mod:`prt.bench.where`).
         note: one line under the chart: device and threads.
     """
     import matplotlib
 
     x, y = Axis.parse(settings.get("x", "time/frame")), Axis.parse(settings.get("y", "psnr/indirect"))
     split = settings.get("split", layout.splits[0])
-    found = points(results, layout, x, y, split)
+    where = read_where(settings.get("where"))
+    found = [
+        p
+        for p in points(results, layout, x, y, split)
+        if meets({"scene": p.scene, "method": p.method, **variant_tokens(p.variant)}, where)
+    ]
     scenes = [scene for scene in layout.scenes if any(p.scene == scene for p in found)]
     if not scenes:
         return None
@@ -179,7 +186,9 @@ def draw(results: pd.DataFrame, layout: Layout, settings: dict, note: str = "") 
     methods = list(dict.fromkeys(method for method, _ in layout.methods))
     looks = {m: (COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]) for i, m in enumerate(methods)}
     with matplotlib.rc_context(STYLE):
-        figure = HoverFigure(figsize=(2.9 * columns + 2.1, 2.5 * rows + 0.75), layout="constrained")
+        handles = _legend(found, looks, layout)
+        size = (2.9 * columns + legend_width(handles), 2.5 * rows + 0.75)
+        figure = HoverFigure(figsize=size, layout="constrained")
         axes = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
         for axis, scene in zip(axes, scenes, strict=False):
             here = [p for p in found if p.scene == scene]
@@ -200,9 +209,7 @@ def draw(results: pd.DataFrame, layout: Layout, settings: dict, note: str = "") 
                 axes[i].set_xlabel(x.label, fontsize=8.5)
         for i in range(0, len(scenes), columns):
             axes[i].set_ylabel(f"{y.label}, {split_name(split)}", fontsize=8.5)
-        figure.legend(
-            handles=_legend(found, looks, layout), loc="outside right upper", frameon=False, fontsize=8
-        )
+        figure.legend(handles=handles, loc="outside right upper", frameon=False, fontsize=8)
         if note:
             width, height = figure.get_size_inches()
             lines = textwrap.wrap(note, int(width * 20))
@@ -255,6 +262,12 @@ def _panel(axis: Axes, found: list[Point], looks: dict, x: Axis, y: Axis) -> Non
     axis.grid(True, which="major", color="#e6e6e6", lw=0.6)
     axis.set_axisbelow(True)
     _better_arrow(axis, *better)
+
+
+def legend_width(handles: Sequence[Line2D]) -> float:
+    """Inches that a legend beside the panels surely fits into (8 point type)."""
+    longest = max((len(str(handle.get_label())) for handle in handles), default=0)
+    return max(2.1, 0.6 + 0.066 * longest)
 
 
 def label_log(axis: XAxis | YAxis) -> None:

@@ -6,6 +6,7 @@ bytes, and charts that the YAML no longer lists are removed.
 
 import itertools
 import math
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from prt.bench.chart import COLOURS, MARKERS, STYLE, label_log, write
+from prt.bench.chart import COLOURS, MARKERS, STYLE, label_log, legend_width, write
 from prt.bench.curves import LINE_STYLES, Curve, Line, axis_key, lines
 from prt.bench.hover import HoverFigure, says
 from prt.bench.layout import Layout, split_name
@@ -21,6 +22,8 @@ from prt.bench.results import measured_once
 
 #: stands in every SVG written here, so that one no longer listed is known as ours and removed
 MARK = "prt curves"
+#: of a title that surely fit into an inch
+TITLE_CHARACTERS = 14
 #: more different x than this get the usual ticks
 TICKS = 12
 
@@ -37,7 +40,8 @@ def draw(results: pd.DataFrame, layout: Layout, curve: Curve, split: str = "") -
     rows = math.ceil(len(scenes) / columns)
     looks = Looks(found, layout, curve)
     with matplotlib.rc_context(STYLE):
-        size = (2.9 * columns + 2.1, 2.5 * rows + 0.4) if curve.panels else (5.6, 3.2)
+        beside, across = looks.legend(), 2.9 * columns if curve.panels else 3.5
+        size = (across + legend_width(beside), 2.5 * rows + 0.4 if curve.panels else 3.2)
         figure = HoverFigure(figsize=size, layout="constrained")
         axes = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
         for axis, scene in zip(axes, scenes, strict=False):
@@ -61,9 +65,11 @@ def draw(results: pd.DataFrame, layout: Layout, curve: Curve, split: str = "") -
         seen = judged and not all(measured_once(axis.metric) for axis in curve.y)
         for i in range(0, len(scenes), columns):
             axes[i].set_ylabel(f"{name}, {split_name(judged)}" if seen else name, fontsize=8.5)
-        figure.legend(handles=looks.legend(), loc="outside right upper", frameon=False, fontsize=8)
+        figure.legend(handles=beside, loc="outside right upper", frameon=False, fontsize=8)
         if curve.title:
-            figure.suptitle(curve.title, fontsize=9, color="#222222", x=0.01, ha="left")
+            # over the panels alone: the legend begins at the same height
+            title = "\n".join(textwrap.wrap(curve.title, int(TITLE_CHARACTERS * across)))
+            figure.suptitle(title, fontsize=9, color="#222222", x=0.01, ha="left")
     return figure
 
 
@@ -139,7 +145,8 @@ def _panel(axis: Axes, found: list[Line], looks: Looks, curve: Curve) -> None:
         )
         axis.plot(x, value, color=colour, ls=LINE_STYLES[line.style], lw=1.4, marker=marker, ms=4.5, mew=1.1,
                   mfc=colour if line.style == 0 else "white", zorder=3)  # fmt: skip
-        axis.fill_between(x, lo, hi, color=colour, alpha=0.15, lw=0, zorder=1)
+        # many bands over each other would be one grey
+        axis.fill_between(x, lo, hi, color=colour, alpha=min(0.15, 0.3 / len(found)), lw=0, zorder=1)
         axis.plot([x for x, _ in line.published], [y for _, y in line.published], color=colour, ls="",
                   marker="*", ms=9, mfc="white", zorder=4)  # fmt: skip
     if "y" in curve.log:

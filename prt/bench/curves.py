@@ -27,6 +27,7 @@ import pandas as pd
 from prt.bench.chart import Axis
 from prt.bench.layout import Layout
 from prt.bench.results import DENOISED, measured_once, variant_tokens
+from prt.bench.where import Where, meets, read_where
 from prt.errors import PrtError
 
 KEYS = ("file", "x", "y", "split", "log", "group", "panels", "where", "title", "labels")
@@ -47,7 +48,7 @@ class Curve:
     log: tuple[str, ...]
     group: str
     panels: bool  #: one a scene
-    where: dict[str, list[str]]
+    where: Where
     title: str
     labels: dict[str, str]
 
@@ -115,7 +116,7 @@ def _parse(entry: dict[str, Any]) -> Curve:
     for key in ("where", "labels"):
         if not isinstance(entry.get(key) or {}, dict):
             raise wrong(f"{key} must be pairs, as {{lambda: 0.01}}")
-    where = {str(k): [str(v) for v in _listed(value)] for k, value in (entry.get("where") or {}).items()}
+    where = read_where(entry.get("where"))
     labels = {str(k): str(v) for k, v in (entry.get("labels") or {}).items()}
     return Curve(
         file, str(entry["x"]), y, str(entry.get("split") or ""), log, group, panels == "scene", where,
@@ -170,18 +171,7 @@ def _shown(row: dict, tokens: dict[str, str], layout: Layout, curve: Curve) -> b
     if row["scene"] not in layout.scenes or (row["method"], plain) not in layout.methods:
         return False
     own = {"scene": row["scene"], "method": row["method"], **tokens, DENOISED: str(DENOISED in tokens)}
-    where = {DENOISED: ["False"], **curve.where}
-    return all(any(_same(own.get(name), value) for value in values) for name, values in where.items())
-
-
-def _same(own: str | None, wanted: str) -> bool:
-    """Equal as text, or as numbers: ``1e-2`` and ``0.01``; null means those without the setting."""
-    if own is None or own == wanted:
-        return own is not None or wanted == str(None)
-    try:
-        return float(own) == float(wanted)
-    except ValueError:
-        return False
+    return meets(own, {DENOISED: ["False"], **curve.where})
 
 
 def _number(text: str, curve: Curve) -> float:

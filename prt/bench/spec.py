@@ -97,7 +97,7 @@ KEYS = (
 PART_KEYS = {
     "without_data": ("grid", "common"),
     "columns": ("metrics", "components", "splits", "views", "as_is"),
-    "chart": ("x", "y", "split", "target"),
+    "chart": ("x", "y", "split", "target", "where"),
     "enough": ("x", "y", "within", "split"),
     "differences": ("y", "split"),
     "advice": ("scenes",),
@@ -107,7 +107,7 @@ PART_KEYS = {
 ENTRY_KEYS = {
     "figure.rows": ("scene", "split", "view", "lighting", "component", "denoised", "label", "crops"),
     "pictures": ("file", "caption"),
-    "charts": ("file", "x", "y", "split", "target"),
+    "charts": ("file", "x", "y", "split", "target", "where"),
 }
 
 

@@ -151,3 +151,19 @@ def test_nothing_to_draw_and_wrong_axes(results):
     assert draw(results[results["metric"] != "time/frame"], PLAN, {}) is None
     with pytest.raises(PrtError, match="psnr/everything"):
         draw(results, PLAN, {"y": "psnr/everything"})
+
+
+def test_a_chart_of_some_variants_and_a_long_legend_that_leaves_the_panel_its_width(tmp_path):
+    cells = [
+        make_run(tmp_path, "box", "svd", variant=variant, shade=0.01 * n)
+        for n, variant in enumerate(("basis=4,rays=1", "basis=16,rays=1", "basis=4,rays=2"), start=1)
+    ]
+    long = "A method whose name is much longer than anybody would ever wish it to be"
+    plan = Layout(["box"], [(c.method, c.variant) for c in cells], labels={"svd": long}, as_is=["svd"])
+    results = summarise(cells, read_images(cells))
+    whole, some = (chart.draw(results, plan, {"where": where}) for where in ({}, {"rays": 1}))
+    assert len(whole.titles) == 3 and len(some.titles) == 2
+    assert all("rays=1" in title for *_, title in some.titles)
+    whole.canvas.draw()
+    assert whole.axes[0].get_window_extent().width / whole.dpi > 2.2
+    assert chart.draw(results, plan, {"where": {"rays": 3}}) is None
