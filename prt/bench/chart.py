@@ -243,7 +243,10 @@ def _panel(axis: Axes, found: list[Point], looks: dict, x: Axis, y: Axis) -> Non
             zorder=2,
         )  # fmt: skip
         changing = varying([p.variant for p in rungs])
+        plain = {p.variant for p in found if p.method == method and not p.denoised}
         for p in rungs:
+            if p.denoised and p.variant in plain:
+                continue  # stands over or under the one that has the label
             axis.annotate(rung_name(p.variant, changing), (p.x * by, p.y * up), xytext=(4, 4),
                           textcoords="offset points", fontsize=6.5, color="#555555")  # fmt: skip
     for p in found:

@@ -25,7 +25,7 @@ MARK = "prt curves"
 #: of a title that surely fit into an inch
 TITLE_CHARACTERS = 14
 #: more different x than this get the usual ticks
-TICKS = 12
+TICKS = 10
 
 
 def draw(results: pd.DataFrame, layout: Layout, curve: Curve, split: str = "") -> HoverFigure | None:

@@ -4,6 +4,7 @@ Every row is one test image (a scene under a lighting), shown as the metrics saw
 reference, clipped and sRGB encoded, with the error map below each method and its PSNR under that.
 """
 
+import re
 import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -248,7 +249,7 @@ def _draw_row(
 def _titled(label: str) -> str:
     """A column's title in lines no wider than its pictures; variants break at their commas."""
     lines = textwrap.wrap(
-        label.replace(",", ", "),
+        re.sub(r",\s*", ", ", label),
         TITLE_WIDTH,
         break_on_hyphens=False,
         max_lines=TITLE_LINES,
