@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import fakes
 import torch
 from fakes import FakeMethod, FakeTask
 from safetensors.torch import load_file, save_file
@@ -84,6 +85,13 @@ CONF = {
     "method/odd": "{_target_: sized.SizedMethod, width: 8, _ladder_: [large]}",
     "task/ranked": "{_target_: sized.RankedTask, resolution: 4, items: 8}",
 }
+
+
+def use(place: Path, monkeypatch: Any) -> None:
+    """Work in ``place``, with configurations of these methods beside those of :mod:`fakes`."""
+    write_conf(fakes.write_conf(place / "conf"))
+    monkeypatch.setenv("PRT_CONF_DIRS", str(place / "conf"))
+    monkeypatch.chdir(place)
 
 
 def write_conf(folder: Path) -> None:

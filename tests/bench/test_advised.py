@@ -5,7 +5,6 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import sized
-from fakes import write_conf
 
 from prt.bench import needs
 from prt.bench.advised import nearest_rung
@@ -29,10 +28,7 @@ advice: {}
 @pytest.fixture
 def judged(tmp_path, monkeypatch):
     """Calls ``prt table`` with this advice; returns the line of advice.csv and the report's text."""
-    folder = write_conf(tmp_path / "conf")
-    sized.write_conf(folder)
-    monkeypatch.setenv("PRT_CONF_DIRS", str(folder))
-    monkeypatch.chdir(tmp_path)
+    sized.use(tmp_path, monkeypatch)
     (tmp_path / "experiments").mkdir()
     (tmp_path / "experiments" / "all.yaml").write_text(TABLE)
 

@@ -7,7 +7,7 @@ import pytest
 import sized
 import tiny
 import torch
-from fakes import CHOICE, write_conf
+from fakes import CHOICE
 
 from prt.bench import ladder, select, table
 from prt.bench.compose import compose
@@ -23,10 +23,7 @@ from prt.errors import PrtError
 @pytest.fixture
 def words(tmp_path, monkeypatch):
     """Overrides that choose the sized method and keep all in a folder of this test."""
-    folder = write_conf(tmp_path / "conf")
-    sized.write_conf(folder)
-    monkeypatch.setenv("PRT_CONF_DIRS", str(folder))
-    monkeypatch.chdir(tmp_path)
+    sized.use(tmp_path, monkeypatch)
     return [*(word for word in CHOICE if not word.startswith("method=")), "method=sized"]
 
 
