@@ -148,7 +148,7 @@ def _panel(axis: Axes, found: list[Line], looks: Looks, curve: Curve) -> None:
         # many bands over each other would be one grey
         axis.fill_between(x, lo, hi, color=colour, alpha=min(0.15, 0.3 / len(found)), lw=0, zorder=1)
         axis.plot([x for x, _ in line.published], [y for _, y in line.published], color=colour, ls="",
-                  marker="*", ms=9, mfc="white", zorder=4)  # fmt: skip
+                  marker="*", ms=9, mfc=colour if line.style == 0 else "white", zorder=4)  # fmt: skip
     if "y" in curve.log:
         label_log(axis.yaxis)
     if "x" in curve.log:
