@@ -138,8 +138,6 @@ def numbers(cfg: DictConfig, prefix: str = "") -> dict[str, float]:
 
 def markdown(judged: Sequence[Judged], plan: Layout, settings: dict[str, Any]) -> str:
     """The section of a report: how often the advice lies on the knee, and how far off otherwise."""
-    if not judged:
-        return ""
     x, y = Axis.parse(str(settings["x"])), Axis.parse(str(settings["y"]))
     lines = [
         "| scene | advised | its size in the sweep | "

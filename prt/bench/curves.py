@@ -27,7 +27,7 @@ import pandas as pd
 from prt.bench.chart import Axis
 from prt.bench.layout import Layout
 from prt.bench.results import DENOISED, measured_once, variant_tokens
-from prt.bench.where import Where, meets, read_where
+from prt.bench.where import Where, listed, meets, read_where
 from prt.errors import PrtError
 
 KEYS = ("file", "x", "y", "split", "log", "group", "panels", "where", "title", "labels")
@@ -101,12 +101,12 @@ def _parse(entry: dict[str, Any]) -> Curve:
     if not entry.get("x") or not entry.get("y"):
         raise wrong("x (as basis) and y (as rmse/indirect) must be given")
     try:
-        y = tuple(Axis.parse(str(text)) for text in _listed(entry["y"]))
+        y = tuple(Axis.parse(str(text)) for text in listed(entry["y"]))
     except PrtError as error:
         raise wrong(f"y: {str(error).removeprefix('chart: ')}") from error
     if len(y) > len(LINE_STYLES):
         raise wrong(f"y has {len(y)} metrics; at most {len(LINE_STYLES)} can be told apart")
-    log = tuple(str(name) for name in _listed(entry.get("log") or []))
+    log = tuple(str(name) for name in listed(entry.get("log") or []))
     if not set(log) <= {"x", "y"}:
         raise wrong(f"log={list(log)} may hold x and y")
     group = str(entry.get("group") or "method")
@@ -122,10 +122,6 @@ def _parse(entry: dict[str, Any]) -> Curve:
         file, str(entry["x"]), y, str(entry.get("split") or ""), log, group, panels == "scene", where,
         str(entry.get("title") or ""), labels,
     )  # fmt: skip
-
-
-def _listed(value: Any) -> list:
-    return value if isinstance(value, list) else [value]
 
 
 def lines(results: pd.DataFrame, layout: Layout, curve: Curve, split: str) -> list[Line]:

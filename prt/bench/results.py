@@ -162,19 +162,19 @@ def summarise(cells: list[Cell], images: pd.DataFrame, published: pd.DataFrame |
     rows = []
     for key, group in images.groupby(KEYS, sort=False) if len(images) else ():
         values = by_seed(group)
-        row = dict(zip(KEYS, key, strict=True), n=len(values), seeds=group["seed"].nunique())
+        row = dict(zip(KEYS, key, strict=True), n=len(values), seeds=values.shape[1])
         if values.notna().all(axis=None):
             row["value"], row["lo"], row["hi"], _ = image_interval(values)
         rows.append(row)
-        rows += _spread(group, key)
+        rows += _spread(values, key)
     rows += _cost_rows(cells)
     table = pd.DataFrame(rows, columns=COLUMNS)
     return merge_published(table, published)
 
 
-def _spread(figures: pd.DataFrame, key: Any) -> list[dict[str, Any]]:
+def _spread(values: pd.DataFrame, key: Any) -> list[dict[str, Any]]:
     """How far the mean over images differs from seed to seed; nothing where there is one seed."""
-    means = figures.groupby("seed")["value"].agg(lambda v: v.mean(skipna=False))
+    means = values.mean(axis=0, skipna=False)
     place = dict(zip(KEYS, key, strict=True))
     if len(means) < 2 or place["metric"] not in METRICS:
         return []

@@ -119,8 +119,8 @@ class RunFolder:
         if not (self.path / "config.yaml").exists():
             write_atomically(self.path / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True).encode())
         session = {name: provenance.get(name) for name in ("time", "commit", "machine", "command")}
-        sessions = [*self.provenance().get("sessions", []), session]
         earlier = self.provenance()
+        sessions = [*earlier.get("sessions", []), session]
         kept = {"fitted_by": earlier["fitted_by"]} if "fitted_by" in earlier else {}
         write_json(self.path / "provenance.json", {**provenance, **kept, "sessions": sessions})
         for name in ("FAILED", "traceback.txt"):

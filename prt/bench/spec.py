@@ -46,6 +46,7 @@ from prt.bench import ladder
 from prt.bench.claims import Claim, parse_claims
 from prt.bench.launchers import is_launcher, split
 from prt.bench.pictures import Picture, parse_pictures
+from prt.bench.where import listed, read_where
 from prt.errors import PrtError
 from prt.paths import data_folder
 
@@ -165,7 +166,7 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
     benchmark = content.get("benchmark") or {}
     if benchmark and not benchmark.get("_target_"):
         raise PrtError(f"{path}: benchmark has no _target_; name the function that measures")
-    grid = {str(key): [str(v) for v in _listed(value)] for key, value in (content.get("grid") or {}).items()}
+    grid = {str(key): [str(v) for v in listed(value)] for key, value in (content.get("grid") or {}).items()}
     if not grid.get("scene") or not (grid.get("method") or benchmark):
         raise PrtError(f"{path}: grid must list at least one scene and one method")
     grid.setdefault("seed", ["0"])
@@ -205,11 +206,13 @@ def load_spec(name: str, overrides: Sequence[str] = ()) -> Spec:
 
         differences.check(content["differences"])
     charts = content.get("charts") or []
+    for entry in (content.get("chart") or {}, *charts):
+        read_where(entry.get("where"))  # a mistake is found before hours of runs
     for entry in charts:
         if not re.fullmatch(r"\w+", str(entry.get("file", ""))):
             raise PrtError(f"{path}: charts: file={entry.get('file')!r} must be a plain word")
     published = content.get("published")
-    columns = {key: [str(v) for v in _listed(value)] for key, value in (content.get("columns") or {}).items()}
+    columns = {key: [str(v) for v in listed(value)] for key, value in (content.get("columns") or {}).items()}
     return Spec(
         name, path, str(content.get("title") or name), grid, common,
         report or Path("reports") / (name + ("_" + slug if slug else "")), split(overrides)[1],
@@ -278,7 +281,7 @@ def named_settings(path: Path, given: dict[str, Any], grid: dict[str, list[str]]
             )
     chosen = {value.split()[0] for axis in ("method", "scene") for value in grid.get(axis, [])}
     return {
-        name: [str(text) for text in _listed(given[name])]
+        name: [str(text) for text in listed(given[name])]
         for name in given
         if all(part in chosen for part in str(name).split("/"))
     }
@@ -300,7 +303,3 @@ def find(name: str) -> Path:
 def has_matrix(path: Path) -> bool:
     """Whether a YAML is a matrix of failures, which reads reports and runs nothing (prt.bench.matrix)."""
     return any(line.startswith("matrix:") for line in path.read_text(encoding="utf-8").splitlines())
-
-
-def _listed(value: Any) -> list:
-    return value if isinstance(value, list) else [value]

@@ -3,15 +3,25 @@
 from collections.abc import Mapping
 from typing import Any
 
+from prt.errors import PrtError
+
 Where = dict[str, list[str]]
 
 
-def read_where(given: Mapping[str, Any] | None) -> Where:
-    """Setting to the values that are wanted, as text; a single value is a list of one."""
-    return {
-        str(key): [str(v) for v in (value if isinstance(value, list) else [value])]
-        for key, value in (given or {}).items()
-    }
+def listed(value: Any) -> list:
+    """What a YAML may give as a list or as its only element."""
+    return value if isinstance(value, list) else [value]
+
+
+def read_where(given: Any) -> Where:
+    """Setting to the values that are wanted, as text.
+
+    Raises:
+        PrtError: for anything but pairs.
+    """
+    if not isinstance(given or {}, Mapping):
+        raise PrtError(f"where={given!r} must be pairs, as {{lambda: 0.01}}")
+    return {str(key): [str(v) for v in listed(value)] for key, value in (given or {}).items()}
 
 
 def meets(own: Mapping[str, str], where: Where) -> bool:

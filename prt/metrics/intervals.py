@@ -8,16 +8,17 @@ interval is NaN, and a claim resting on it undecided.
 """
 
 from collections.abc import Hashable, Sequence
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from scipy import stats
 
 from prt.errors import PrtError
 
+if TYPE_CHECKING:
+    from prt.metrics.registry import Direction
+
 Verdict = Literal["holds", "fails", "undecided"]
-#: which way of a figure is better
-Direction = Literal["higher", "lower"]
 #: differences below this are rounding
 TIE = 1e-9
 #: fewer groups than this use Student's t
@@ -107,7 +108,7 @@ def _bootstrap(sums: np.ndarray, sizes: np.ndarray, confidence: float, seed: int
     return float(lo), float(hi)
 
 
-def better(interval: Interval, direction: Direction, margin: float = 0.0) -> Verdict:
+def better(interval: Interval, direction: "Direction", margin: float = 0.0) -> Verdict:
     """Whether the first of two is better by more than ``margin``, from the interval of first less second.
 
     Undecided where the interval contains ``margin``, or where there is none (one group, NaN).

@@ -276,6 +276,7 @@ def test_settings_of_one_method_are_no_variant_and_yield_to_the_command_line(spe
         ),
         (("published: paper.csv", "pictures: [{file: a.png}, {file: a.png}]"), "another picture's name"),
         (("published: paper.csv", "pictures: [{file: chart.png}]"), "another picture's name"),
+        (("published: paper.csv", "chart: {where: 3}"), "where=3 must be pairs"),
     ],
 )
 def test_mistakes_in_the_yaml_are_one_line(spec, tmp_path, change, says):
